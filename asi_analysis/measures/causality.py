@@ -55,6 +55,7 @@ REGULAR: Final = 0.05
 # them: chance gives less, a recording of each n-th sample more; least ratio of noise and
 # resolution.
 NOISE_WINDOW: Final = 200
+NOISE_WINDOWS: Final = 200   # so many at most, spread over the recording
 NOISE_LAGS: Final = 5
 LEAST_OWN_NOISE: Final = 0.06
 NOISE_RESOLVED: Final = 20.0
@@ -273,8 +274,8 @@ def of_noise(run: Run, name: str) -> Iterator[Finding]:
     share = _noise_in_common(run.command_n, run.reference_n, run.signal(name))
     if share is not None and share < LEAST_OWN_NOISE:
         yield Finding('answer', name, NOTE, whole_run(run.time_s),
-                      f'the noise of the {name_of(name)} is not in the command: it was altered or '
-                      'moved in time, or the controller had other samples')
+                      f'the noise of the {name_of(name)} is not in the command: the controller '
+                      'does not use it or had other samples, or it was altered or moved in time')
 
 
 def _noise_in_common(command: Array, reference: Array, values: Array) -> float | None:
@@ -287,17 +288,15 @@ def _noise_in_common(command: Array, reference: Array, values: Array) -> float |
         steps = np.diff(np.unique(each))
         if np.median(np.abs(bend)) < NOISE_RESOLVED * float(steps.min(initial=np.inf)):
             return None
-    count = len(bends[0])
-    earlier = [bends[0][NOISE_LAGS - lag:count - lag] for lag in range(1, NOISE_LAGS)]
-    known = np.stack(earlier + [each[NOISE_LAGS - lag:count - lag] for each in bends[1:]
-                                for lag in range(NOISE_LAGS)], axis=1)
-    new = bends[0][NOISE_LAGS:]
-    others = len(earlier) + NOISE_LAGS
-    shares = []
-    for begin in range(0, len(new) - NOISE_WINDOW + 1, NOISE_WINDOW):
+    count, others, shares = len(bends[0]), 2 * NOISE_LAGS - 1, []
+    begins = np.arange(0, count - NOISE_LAGS - NOISE_WINDOW + 1, NOISE_WINDOW)
+    for begin in begins[::-(-len(begins) // NOISE_WINDOWS)] if len(begins) else ():
         part = slice(begin, begin + NOISE_WINDOW)
-        alone, with_signal = (_left(table, new[part]) for table in (
-            known[part, :others], known[part]))
+        known = np.stack([each[NOISE_LAGS - lag:][part] for each, lags in (
+            (bends[0], range(1, NOISE_LAGS)), (bends[1], range(NOISE_LAGS)),
+            (bends[2], range(NOISE_LAGS))) for lag in lags], axis=1)
+        new = bends[0][NOISE_LAGS:][part]
+        alone, with_signal = (_left(table, new) for table in (known[:, :others], known))
         if alone > 0.0:
             shares.append(1.0 - with_signal / alone)
     return float(np.quantile(shares, 0.75)) if shares else None
