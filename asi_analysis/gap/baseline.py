@@ -234,10 +234,25 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
     return weighed._replace(probability=chance)
 
 
-def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
-                        ) -> tuple[Weighed, list[str]]:
+def doubted(weighed: Weighed, healthy: Healthy, tolerance: float) -> tuple[Weighed, list[str]]:
     """
-    Return a group in which an unknown change is as probable as none if a constant differs; a note.
+    Return a group whose probability of no change is partly that of an unknown one, and notes.
+
+    tolerance: as in `_doubt_of_constant`.
+    """
+    doubts = [_doubt_of_constant(weighed, healthy, tolerance), _doubt_of_rest(healthy)]
+    share, chance = max(each for each, _ in doubts), weighed.probability
+    moved = share * chance.get((), 0.0)
+    return weighed._replace(probability={
+        **chance, (): chance.get((), 0.0) - moved,
+        (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + moved}), [
+            note for _, notes in doubts for note in notes]
+
+
+def _doubt_of_constant(weighed: Weighed, healthy: Healthy, tolerance: float
+                       ) -> tuple[float, list[str]]:
+    """
+    Return the share of no change that is an unknown one's, since a constant differs; a note.
 
     From half of the tolerance on it gets more probable, unless healthy recordings differ so much.
 
@@ -248,7 +263,7 @@ def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
     now = _constants(weighed.candidates[()].fitted, weighed.group)
     before = _constants(healthy.fitted, healthy.fitted.problem.group)
     if not now or not before:
-        return weighed, []
+        return 0.0, []
     known = [each for each, _ in before]
     usual, rms = float(np.mean(known)), max(rms for _, rms in before)
     differs = max(abs(each - usual) for each, _ in now)
@@ -256,19 +271,19 @@ def doubted_by_constant(weighed: Weighed, healthy: Healthy, tolerance: float
     said, was = (', '.join(f'{each:.4g}' for each, _ in values) for values in (now, before))
     words = f'a constant force of {said}, in the healthy recordings {was}: '
     if differs > limit:
-        return _doubted(weighed, 0.5), [
+        return 0.5, [
             f'{words}another constant load and an offset of the force sensor are alike, and for '
             'a joint that moves one way friction and gain of the sensor too']
     if len(known) < 2 or differs <= max(_next_within(known), 0.5 * limit):
-        return weighed, []
-    return _doubted(weighed, differs / limit - 0.5), [
+        return 0.0, []
+    return differs / limit - 0.5, [
         f'{words}more than they differ among themselves, less than the tolerance of '
         f'{tolerance:.0%} (--tolerance)']
 
 
-def doubted_by_rest(weighed: Weighed, healthy: Healthy) -> tuple[Weighed, list[str]]:
+def _doubt_of_rest(healthy: Healthy) -> tuple[float, list[str]]:
     """
-    Return a group with an unknown change as probable as none, and a note, if the model fails.
+    Return the share of no change that is an unknown one's, since the model fails; a note.
 
     It fails if much of the healthy machine's signal is neither explained nor noise.
     """
@@ -276,19 +291,10 @@ def doubted_by_rest(weighed: Weighed, healthy: Healthy) -> tuple[Weighed, list[s
     beyond = max((healthy.share[channel] * max(1.0 - before.noise[channel] ** 2 / left, 0.0)
                   for channel, left in healthy.left.items() if left > 0.0), default=0.0)
     if beyond < POOR:
-        return weighed, []
-    return _doubted(weighed, 0.5), [
+        return 0.0, []
+    return 0.5, [
         f'the model leaves {np.sqrt(beyond):.0%} of the signal (rms) of healthy recordings '
         'unexplained, beside their noise: a change within that is not seen']
-
-
-def _doubted(weighed: Weighed, share: float) -> Weighed:
-    """Return a group in which a share of the probability of no change is an unknown change's."""
-    chance = weighed.probability
-    moved = share * chance.get((), 0.0)
-    return weighed._replace(probability={
-        **chance, (): chance.get((), 0.0) - moved,
-        (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + moved})
 
 
 def _next_within(values: Sequence[float]) -> float:

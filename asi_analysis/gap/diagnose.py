@@ -17,8 +17,7 @@ from asi_analysis.gap.baseline import (
     Healthy,
     against,
     changed_only,
-    doubted_by_constant,
-    doubted_by_rest,
+    doubted,
     healthy_of,
     shares,
 )
@@ -268,8 +267,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         report('fitting effects', min(done / steps, 1.0))
 
     told = healthy.notes if healthy else []
-    # Before the checks, since a note may explain why one fails.
-    for note in (each for each in notes if each not in told):
+    for note in (each for each in notes if each not in told):   # first: it may explain a refusal
         warnings.warn(note, InputWarning, stacklevel=2)
     answered, laws = list[Weighed | None](), list[OwnLaws]()
     if simulated and has_linear_laws(model):
@@ -305,11 +303,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
-        for doubted in (lambda each, was: doubted_by_constant(changed_only(each, was), was,
-                                                              tolerance), doubted_by_rest):
-            found = [doubted(each, machine[each.group.channels]) for each in weighed]
-            weighed = [each for each, _ in found]
-            notes += [note for _, each in found for note in each]
+        found = [doubted(changed_only(each, was), was, tolerance)
+                 for each in weighed for was in [machine[each.group.channels]]]
+        weighed = [each for each, _ in found]
+        notes += [note for _, more in found for note in more]
     elif plant == 'actuator':
         weighed = [with_tolerated_gain(with_gap_centre(each), own.get(GAIN, tolerance))
                    for each in weighed]

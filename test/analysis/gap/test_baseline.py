@@ -13,11 +13,14 @@ from test_gap_simulator import recorded
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap import baseline
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.baseline import healthy_of
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.diagnose import improved_of
+from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.model.effects import UNKNOWN
 
 MACHINE = {'friction': 0.1, 'gravity': 0.5}
 HEALTHY = (joint(**MACHINE), joint(**MACHINE, course=TWO_WAVES))
@@ -124,6 +127,14 @@ def test_a_model_that_explains_nothing_of_the_healthy_machine_finds_no_change_fo
 
 
 @ONE_WAY
+def test_two_doubts_are_one_doubt(monkeypatch):
+    for name, note in (('_doubt_of_constant', 'load'), ('_doubt_of_rest', 'model')):
+        monkeypatch.setattr(baseline, name, lambda *_, note=note: (0.5, [note]))
+    weighed, notes = baseline.doubted(Weighed(None, {}, {(): 0.8, ('backlash',): 0.2}), None, 0.2)
+    assert weighed.probability == {(): 0.4, ('backlash',): 0.2, (UNKNOWN,): 0.4}
+    assert notes == ['load', 'model']
+
+
 def test_a_torque_within_the_tolerance_but_beyond_the_healthy_ones_is_no_sure_answer():
     answer = asked(turning(1.17, 3), turning(1.0, 1), turning(1.0, 2))
     assert answer.verdict == 'no_gap' and answer.probability < 0.85

@@ -337,7 +337,7 @@ def groups_of(monkeypatch, valve, behind):
     monkeypatch.setattr(search, 'most_probable_of', lambda weighed: SimpleNamespace(
         fitted=SimpleNamespace(record=None)))
     monkeypatch.setattr(search, 'with_simulated_valve', lambda group, record, gain: group)
-    monkeypatch.setattr(search, 'with_free_gain', lambda group: (group, None))
+    monkeypatch.setattr(search, 'with_free_gain', lambda group: (group, None))   # it is certain
     return explained_by_simulator([SimpleNamespace(channels=('valve',)),
                                    SimpleNamespace(channels=CHANNELS)], lambda: None)
 
@@ -352,6 +352,16 @@ def test_valve_has_other_laws_as_what_follows_it_unless_its_own_need_an_effect(
 
 def test_what_follows_a_valve_that_is_not_explained_is_not_judged_by_the_simulator(monkeypatch):
     assert groups_of(monkeypatch, (None, False), ((90.0, 80.0), False)) == [None, None]
+
+
+def test_a_gain_of_the_valve_is_told_though_what_follows_is_answered_by_blocks(monkeypatch):
+    explained = search._explained
+    monkeypatch.setattr(search, '_explained', lambda group, *rest: (
+        explained(group, *rest) if group.channels == ('valve',) else None))
+    nominal = {'load.type': 'spring'}
+    answer = diagnose([recorded({**nominal, 'valve_characteristic.gain': 2.0}, duration_s=1.1)],
+                      nominal)
+    assert 'parameter:valve_characteristic.gain' in answer.verdict
 
 
 @pytest.mark.slow

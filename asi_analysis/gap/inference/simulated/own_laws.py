@@ -15,6 +15,7 @@ from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Found
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.search import (
+    gain_is_off,
     null_fit,
     single_effects,
     with_free_gain,
@@ -60,6 +61,9 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None]) -> list[OwnLa
     valve, gain = with_free_gain(valve) if others else (valve, None)
     first, fitted = _own_laws(valve, tick)
     rest = [_own_laws(with_simulated_valve(each, fitted, gain), tick)[0] for each in others]
+    if any(law.weighed is None and gain_is_off(fitted, each, gain)
+           for law, each in zip(rest, others, strict=True)):
+        first = first._replace(weighed=None)   # the gain is judged with the valve, block by block
     # Of a valve that they do not explain, the position is not known well enough to blame the rest.
     return [first, *(each._replace(gap=each.gap and first.weighed is not None) for each in rest)]
 

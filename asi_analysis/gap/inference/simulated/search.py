@@ -41,6 +41,7 @@ from asi_analysis.gap.inference.simulated.formulation import (
 from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
+    OF_VALVE_GAIN,
     VALVE_GAIN,
     Group,
     acts_on,
@@ -49,7 +50,7 @@ from asi_analysis.gap.model.group import (
     with_lower_noise,
     with_simulated_valve,
 )
-from asi_analysis.gap.model.simulator import SUBSTEPS_S
+from asi_analysis.gap.model.simulator import SUBSTEPS_S, metres_per_newton
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
 
@@ -89,8 +90,26 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     changed = ((second is None or second.weighed.group.other_formulation)
                and not first.weighed.group.other_formulation
                and first.found[()].best.cost < min(costs) + COST_RANGE)
+    if second is None and gain_is_off(most_probable_of(first.weighed).fitted.record, rest, gain):
+        return [None, None]
     return [(weighed_of(first.found, alone, True) if changed else None) or first.weighed,
             None if second is None else second.weighed]
+
+
+def gain_is_off(valve: np.void, behind: Group, gain: Free | None) -> bool:
+    """
+    Return whether the fitted gain of the valve is improbable, so that it is an answer of its own.
+
+    By the normal priors of all factors of the gain. valve: the record of the valve's fit; behind:
+    the group of what follows it; gain: the uncertain gain, as `with_free_gain` returns it.
+    """
+    if gain is None:
+        return False
+    factors = (gain, *(free for free in behind.nuisance if free.field in OF_VALVE_GAIN
+                       and free.field != VALVE_GAIN))
+    variance = sum(free.prior ** 2 for free in factors)
+    off = math.log(metres_per_newton(valve) / metres_per_newton(behind.nominal))
+    return 0.5 * off ** 2 / variance > ODDS_AGAINST
 
 
 def with_free_gain(valve: Group) -> tuple[Group, Free | None]:
