@@ -207,7 +207,7 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
         return Bandwidth(None, None, None, None, missing)
     valid = np.isfinite(run.reference_n) & np.isfinite(output)
     lag = correlation_delay(np.where(valid, run.reference_n, 0.0), np.where(valid, output, 0.0),
-                            run.period_s)
+                            run.period_s) if len(np.unique(run.reference_n[valid])) > 1 else None
     steps = step_responses(run)
     step = largest_step(steps)
     if step is not None and len(steps) < FEWEST_STEPS:
