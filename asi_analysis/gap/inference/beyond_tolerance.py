@@ -14,8 +14,8 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 # Probability that the laws are the simulator's own, if the noise would hide another formulation.
 # With others, a value just beyond the tolerance may be due to them.
 OWN_LAWS = 0.6
-# With a linear nominal model: probability that a parameter beyond its tolerance is meant, and not
-# a gain of the sensor within its own; where it is beyond TOLERANCE_FACTOR tolerances, it is sure.
+# Probability that a parameter within TOLERANCE_FACTOR tolerances is meant, and not other ones, or
+# a gain of the sensor, within their own.
 AT_EDGE = 0.4
 
 
@@ -38,10 +38,9 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
         more = _beyond(weighed, names, 1.0)
         if not more:
             continue
-        if group.may_differ:
-            share = 1.0 if shown else OWN_LAWS
-        else:
-            share = 1.0 if more == _beyond(weighed, names, TOLERANCE_FACTOR) else AT_EDGE
+        share = OWN_LAWS if group.may_differ and not shown else 1.0
+        if more != _beyond(weighed, names, TOLERANCE_FACTOR):
+            share = AT_EDGE
         if len(more) > MOST_PARAMETERS:
             if names:
                 continue

@@ -235,7 +235,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             cost_there = problem.cost(there, value_there)
             if cost - cost_there > GAIN + converged * cost:
                 theta, value, cost, ends = there, value_there, cost_there, False
-        if rounds < 1 or ends or cost - rounds * (since - cost) > goal:
+        if rounds < 1 or ends or (computed and cost - rounds * (since - cost) > goal):
             return Best(theta, cost, value, _kept(slopes), computed)
         slopes, since = problem.jacobian(theta, base=value), cost
         computed = fresh = True
@@ -387,9 +387,15 @@ class Found(NamedTuple):
         return self.problem.prior_cost(self.best.theta)
 
     @property
+    def improbable(self) -> bool:
+        """Return whether the nominal parameters are far less probable than they usually are."""
+        usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
+        return bool(self.prior_cost > ODDS_AGAINST + usual)
+
+    @property
     def may_lack_an_effect(self) -> bool:
         """Return whether a residual, or improbable nominal parameters, are left to explain."""
-        return self.unexplained or self.prior_cost > ODDS_AGAINST
+        return self.unexplained or self.improbable
 
     @property
     def as_fitted(self) -> Fitted:

@@ -57,6 +57,9 @@ OWN_MODEL = CONSTANTS._replace(unknown_offset=-3.0)
 SERVO = OWN_MODEL._replace(exact=0.005, formulation=0.01)
 # Of the simulator, whose error floor is little more than the noise.
 SIMULATOR = CONSTANTS._replace(unknown_offset=-1.4)
+# A machine that obeys other laws than the simulator's, and on which no effect is found, has none,
+# or one that the difference of the laws hides: about as often, on machines by other authors.
+NONE_HIDDEN = 0.55
 NOISE_SHARE = 0.1   # of the noise variance: smaller differences of residuals do not count
 LEAST_RESIDUAL = 0.01   # of the error floor: lower limit of a residual
 USUAL_S = 5.0       # length of the held-out data that `Constants` refer to
@@ -254,6 +257,19 @@ def with_unknown(chance: Mapping[Names, float], unknown: float, share: float
               for names, p in chance.items() if names and share > 0.0 and effects > 0.0}
     return ({names: (1.0 - unknown) * p for names, p in chance.items()} | beside
             | {(UNKNOWN,): unknown - sum(beside.values())})
+
+
+def with_hidden_effect(joined: Mapping[Names, float]) -> dict[Names, float]:
+    """
+    Return the probabilities on a machine that the simulator's own laws do not explain.
+
+    If `no_gap` is the most probable, it keeps at most NONE_HIDDEN of that and `unknown` together.
+    """
+    none, unknown = joined[()], joined.get((UNKNOWN,), 0.0)
+    kept = min(none, NONE_HIDDEN * (none + unknown))
+    if none < max(joined.values()):
+        return dict(joined)
+    return {**joined, (): kept, (UNKNOWN,): none + unknown - kept}
 
 
 def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:

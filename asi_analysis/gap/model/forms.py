@@ -52,6 +52,8 @@ def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
         for place in (CYLINDER, BEHIND_SENSOR))
 
 
+_ASYMMETRIES = tuple(Free('friction_coulomb_asymmetry', low, high, (start,))
+                     for low, high, start in ((0.15, 1.0, 0.35), (-1.0, -0.15, -0.35)))
 _GAP = Free('backlash_gap', 0.002, 1.4, (0.008, 0.02, 0.04, 0.07, 0.12, 0.3), 'position', 'm')
 _CENTRE = Free('backlash_centre', -0.5, 0.5, (0.0,), 'position', 'm')
 
@@ -152,12 +154,11 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'friction_asymmetry': (
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
               needs=('friction_model', 'friction_coulomb')),
-        _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
-              _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), needs=('friction_model',)),
-        _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
-              _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *_BREAKAWAY,
-              needs=('friction_model',)),
-        *_first_friction(Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.4, -0.4))),
+        # Beside other free friction: with less asymmetry it is one of the other effects.
+        *(_form(MOVED, asymmetry, _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *more,
+                needs=('friction_model',))
+          for more in ((), _BREAKAWAY) for asymmetry in _ASYMMETRIES),
+        *(form for asymmetry in _ASYMMETRIES for form in _first_friction(asymmetry)),
     ),
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),

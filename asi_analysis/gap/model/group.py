@@ -101,6 +101,7 @@ class Group:
     floor_measured: bool = False   # the error floor is the residual of healthy recordings
     floor_by_best: bool = False    # the best residual limits the model error
     other_formulation: bool = False   # the machine's laws are not formulated as the simulator's
+    hides_effects: bool = False   # so that the nominal model explains it only with a model error
     # By channel: the share of white noise's power within the band of the residual; the weight of
     # each sample; the mean square model error of laws that are formulated in another way.
     judged_share: Values = field(default_factory=dict)

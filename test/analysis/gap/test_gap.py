@@ -14,10 +14,11 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
 from asi_analysis.gap.check.check import score, truth_of
-from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, improved_of, plain
+from asi_analysis.gap.diagnose import diagnose, document, improved_of, plain
 from asi_analysis.gap.findings.shrink import _interval
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import (

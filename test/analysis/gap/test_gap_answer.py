@@ -12,6 +12,7 @@ from test_gap import TEXTBOOK, recorded
 from asi_actuator.model.effects import BLOCKS
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
+from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.answer.command import diagnose as asi_diagnose
 from asi_analysis.gap.answer.command import (
     model_tolerances,
@@ -19,7 +20,7 @@ from asi_analysis.gap.answer.command import (
     parse_tolerances,
     recorded_model,
 )
-from asi_analysis.gap.diagnose import actuator_groups, diagnose, document, plain
+from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants

@@ -13,8 +13,8 @@ from test_gap import REAL, TEXTBOOK, recorded
 from asi_analysis import cli
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.experiments.experiment import CONTROLLER_PARAMETERS, gather, read_parameters
+from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.answer import command
-from asi_analysis.gap.diagnose import actuator_groups
 from asi_analysis.gap.experiment import next_experiment
 from asi_analysis.gap.experiment.next_experiment import (
     CATALOGUE,

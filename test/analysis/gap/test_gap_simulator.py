@@ -19,7 +19,8 @@ from asi_actuator.model.actuator import (
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.diagnose import actuator_groups, diagnose, document
+from asi_analysis.gap.actuator import actuator_groups
+from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated import search
@@ -236,6 +237,19 @@ class NextToNoPlant:
 def test_a_fit_ends_where_derivatives_overflow():
     best = most_probable(NextToNoPlant(), np.array([0.5]))
     assert best.theta == 0.5 and best.cost == 0.125
+
+
+def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal, duration_s=1.0)
+    fit = search.null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
+                                          ('valve',)))
+    problem, start = fit.problem, fit.best.theta + 0.05
+    fields = [free.field for free in problem.free]
+    wrong = dict(zip(fields, -problem.jacobian(start).T, strict=True))   # its steps lead uphill
+    goal = fit.best.cost + 1.0
+    assert problem.cost(start) > goal
+    assert most_probable(problem, start, known=wrong, goal=goal).cost < goal
 
 
 @pytest.mark.slow

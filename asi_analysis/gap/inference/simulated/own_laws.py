@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_analysis.gap.inference.hypotheses import Weighed
-from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Found
+from asi_analysis.gap.inference.posterior import Found
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.search import (
@@ -88,6 +88,4 @@ def _mostly_explains(found: Found, null: Found) -> bool:
     That is: it leaves only noise, or little of what the nominal model leaves beyond noise.
     """
     more, before = (np.maximum(each.relative_residual - 1.0, 0.0) for each in (found, null))
-    usual = 0.5 * np.count_nonzero(found.problem.prior[1])   # the mean of the prior's cost
-    return bool((more <= LEFT * before).all()
-                and found.prior_cost <= ODDS_AGAINST + usual)
+    return bool((more <= LEFT * before).all()) and not found.improbable

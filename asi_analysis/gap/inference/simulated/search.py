@@ -32,6 +32,13 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
+from asi_analysis.gap.inference.simulated.fits import (
+    columns_of,
+    converged,
+    freed_fields,
+    is_coarse,
+    with_values_of,
+)
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
     goal_beside,
@@ -45,12 +52,11 @@ from asi_analysis.gap.model.group import (
     VALVE_GAIN,
     Group,
     acts_on,
-    recorrected,
     with_fitted_start,
     with_lower_noise,
     with_simulated_valve,
 )
-from asi_analysis.gap.model.simulator import SUBSTEPS_S, metres_per_newton
+from asi_analysis.gap.model.simulator import metres_per_newton
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
 
@@ -58,10 +64,6 @@ from asi_common.record import field_name
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
 RIVALS = 7   # effects that are fitted in place of that of the best fit
-# The integration error of a long sub-step is corrected again after each fit: at most so often, and
-# until that changes the log posterior by less than SETTLED, or by less than a share of what noise
-# does not explain.
-CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
 
 
@@ -133,12 +135,17 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    found = _hypotheses(with_noise_from_fit({(): null_fit(group)})[()], tick, alone)
+    null = with_noise_from_fit({(): null_fit(group)})[()]
+    found = _hypotheses(null, tick, alone)
     if not _only_noise_left(found) and not all(each.far for each in found.values()):
         # Only the model error of laws formulated in another way explains the rest.
         found, alone = in_formulation(found, True), True
     weighed = weighed_of(found, alone)
-    return None if weighed is None else _Explained(weighed, found)
+    if weighed is None:
+        return None
+    laws = weighed.group
+    hides = null.may_lack_an_effect and laws.other_formulation and laws.may_differ
+    return _Explained(weighed._replace(group=replace(laws, hides_effects=hides)), found)
 
 
 def null_fit(group: Group) -> Found:
@@ -150,7 +157,7 @@ def null_fit(group: Group) -> Found:
     if len(starts) > 1:
         starts = [min((most_probable(problem, start, rounds=2) for start in starts),
                       key=lambda best: best.cost).theta]
-    null = _converged(Found((), (), problem, most_probable(problem, starts[0],
+    null = converged(Found((), (), problem, most_probable(problem, starts[0],
                                                            rounds=2 * ROUNDS)))
     # From here on, a recording that starts in motion has the initial state of this fit.
     return null._replace(best=null.best._replace(slopes=None), problem=replace(
@@ -177,9 +184,9 @@ def with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
     leader = quiet(best)
     if leader.problem.group is best.problem.group:
         return dict(found)
-    leader = _converged(leader.refined())
+    leader = converged(leader.refined())
     goal = leader.best.cost + COST_RANGE
-    return with_noise_from_fit({names: leader if each is best else _converged(
+    return with_noise_from_fit({names: leader if each is best else converged(
         quiet(each).refined(goal=goal), goal) for names, each in found.items()})
 
 
@@ -194,7 +201,7 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
     if not null.unexplained:
         singles = _extended(null, null, tick, alone)
     # Errors of nominal parameters hide an effect: then the screen starts from the nominal values.
-    if null.may_lack_an_effect:
+    if null.unexplained or null.prior_cost > ODDS_AGAINST:
         singles = _best_of(singles, _extended(null.at_nominal, null, tick, alone))
     return {(): _refitted_from_larger(null, list(singles.values()))} | singles
 
@@ -260,7 +267,7 @@ def _second_effect_alone(null: Found, first: Found, pair: Found) -> Found:
     theta = np.array([problem.parameter(free).share(float(values[free.field]))
                       for free in problem.free])
     names = tuple(name for name in pair.names if name not in first.names)
-    return _converged(Found(names, (variant,), problem, most_probable(problem, theta)))
+    return converged(Found(names, (variant,), problem, most_probable(problem, theta)))
 
 
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -273,13 +280,13 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
     """Return a fit, repeated from the values of fits with one more effect if that costs less."""
     problem, starts = base.problem, []
     for found in more:
-        fields, own = _freed_fields(found)
-        starts += [_with_values_of(base, found, names) for names in (fields - own, fields)]
+        fields, own = freed_fields(found)
+        starts += [with_values_of(base, found, names) for names in (fields - own, fields)]
     costs = [problem.cost(start) for start in starts]
     if min(costs, default=math.inf) > base.best.cost - GAIN:
         return base
     start = starts[int(np.argmin(costs))]
-    return _converged(base._replace(best=most_probable(problem, start)))
+    return converged(base._replace(best=most_probable(problem, start)))
 
 
 def _start_guesses(problem: Posterior) -> Iterator[Array]:
@@ -354,13 +361,13 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     if not fits:
         return {}
     ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
-    leader = _converged(ranked[0].refined())
+    leader = converged(ranked[0].refined())
     best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
     fits[leader.names] = leader
-    fields, own = _freed_fields(leader)
+    fields, own = freed_fields(leader)
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
-    at_leader, at_base = _columns(leader.problem, leader.slopes), screened.slopes
+    at_leader, at_base = columns_of(leader.problem, leader.slopes), screened.slopes
     goal = goal_beside(leader)
     if leader.far and not alone:
         goal = min(goal, leader.largest_cost)
@@ -370,18 +377,18 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         # wait for another one, since all of them could: hence no pool.
         form = form._replace(problem=replace(
             form.problem, group=leader.problem.group, pool=None))
-        shared = [_with_values_of(form, leader, names) for names in (fields - own, fields)]
+        shared = [with_values_of(form, leader, names) for names in (fields - own, fields)]
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
-            shared.append(_with_values_of(form, null, _freed_fields(form)[0]))
+            shared.append(with_values_of(form, null, freed_fields(form)[0]))
         starts = [(min(shared, key=form.problem.cost), at_leader)]
         # Where the gap is large, the leader's parameter values may be a bad start.
         if far and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
-        of_effect = _freed_fields(form)[1]
+        of_effect = freed_fields(form)[1]
         best = min((most_probable(form.problem, start, goal=goal, known={
             field: column for field, column in near.items() if field not in of_effect})
             for start, near in starts), key=lambda best: best.cost)
-        return _converged(form._replace(best=best), goal)
+        return converged(form._replace(best=best), goal)
 
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
@@ -390,7 +397,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         known = {(form.names, form.variants) for form in (*remaining, leader)}
         remaining += [form for form in _rivals(base, leader, tick)
                       if (form.names, form.variants) not in known]
-    for found in problem.in_parallel(converged_fit, sorted(remaining, key=_is_coarse)):
+    for found in problem.in_parallel(converged_fit, sorted(remaining, key=is_coarse)):
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         earlier = fits.get(found.names)
         if (earlier is None or earlier.best is best_forms.get(found.names)
@@ -408,74 +415,11 @@ def _rivals(base: Found, leader: Found, tick: Callable[[], None]) -> list[Found]
     parameters hide which effects look alike.
     """
     problem = replace(base.problem, group=leader.problem.group)
-    fields, own = _freed_fields(leader)
-    theta = _with_values_of(base, leader, fields - own)
+    fields, own = freed_fields(leader)
+    theta = with_values_of(base, leader, fields - own)
     residual = problem.residual(theta)
     without = base._replace(problem=problem, best=Best(
         theta, problem.cost(theta, residual), residual))
     return [Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                   start.problem, Best(start.theta, math.inf, residual))
             for start in screen(without, False, tick).best(RIVALS)]
-
-
-def _columns(problem: Posterior, jacobian: Array) -> dict[str, Array]:
-    """Return the columns of a Jacobian by the fields of the free parameters."""
-    return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}
-
-
-def _is_coarse(found: Found) -> bool:
-    """Return whether a fit is simulated with a sub-step that needs a correction."""
-    return bool(found.problem.record(found.best.theta)['maximum_substep']
-                > found.problem.group.exact_substep_s)
-
-
-def _converged(found: Found, goal: float = math.inf) -> Found:
-    """
-    Return a fit that shorter sub-steps of the simulation would not change.
-
-    The integration error of the sub-step is corrected at the fitted parameters, again after each
-    fit, and the best fit is kept. If that does not converge, a shorter sub-step is used. goal: a
-    negative log posterior; a fit that cannot reach it is given up.
-    """
-    known: list[Found] = []
-    change, left = 0.0, 0.0
-    while found.best.cost <= goal:
-        problem, best = found.problem, found.best
-        p = problem.record(best.theta)
-        if p['maximum_substep'] == problem.group.exact_substep_s:
-            return found
-        problem = replace(problem, group=recorrected(problem.group, p))
-        residual = problem.residual(best.theta)
-        change = 0.5 * float(residual @ residual - best.residual @ best.residual)
-        known.append(found._replace(problem=problem, best=best._replace(
-            cost=best.cost + change, residual=residual)))
-        left = SETTLED_SHARE * max(known[-1].best.cost - found.largest_cost, 0.0)
-        if abs(change) < SETTLED + left or len(known) == CORRECTIONS:
-            break
-        found = known[-1].refined(goal=goal)
-    if not known:
-        return found
-    found = min(known, key=lambda each: each.best.cost)
-    if abs(change) < COST_RANGE + left:
-        return found
-    group, p = found.problem.group, found.problem.record(found.best.theta)
-    shorter = next((each for each in SUBSTEPS_S if group.exact_substep_s < each
-                    < p['maximum_substep']), group.exact_substep_s)
-    problem = replace(found.problem, fixed=(*found.problem.fixed, ('maximum_substep', shorter)))
-    problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
-    return _converged(found._replace(problem=problem, best=most_probable(
-        problem, found.best.theta, goal=goal)), goal)
-
-
-def _with_values_of(found: Found, other: Found, fields: set[str]) -> Array:
-    """Return a fit's parameter vector with the values of another fit for some fields."""
-    values = other.problem.record(other.best.theta)
-    return np.array([found.problem.parameter(free).share(float(values[free.field]))
-                     if free.field in fields else share
-                     for free, share in zip(found.problem.free, found.best.theta, strict=True)])
-
-
-def _freed_fields(found: Found) -> tuple[set[str], set[str]]:
-    """Return the fields that are free in a fit, and those among them of its last effect."""
-    return ({free.field for free in found.problem.free},
-            {free.field for variant in found.variants[-1:] for free in variant.free})

@@ -1,0 +1,80 @@
+"""Fits of the simulator, corrected for the sub-step; values that one fit gives to another."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.posterior import Found, Posterior, most_probable
+from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
+from asi_analysis.gap.model.group import recorrected
+from asi_analysis.gap.model.simulator import SUBSTEPS_S
+
+# The integration error of a long sub-step is corrected again after each fit: at most so often, and
+# until that changes the log posterior by less than SETTLED, or by less than a share of what noise
+# does not explain.
+CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
+
+
+def converged(found: Found, goal: float = math.inf) -> Found:
+    """
+    Return a fit that shorter sub-steps of the simulation would not change.
+
+    The integration error of the sub-step is corrected at the fitted parameters, again after each
+    fit, and the best fit is kept. If that does not converge, a shorter sub-step is used. goal: a
+    negative log posterior; a fit that cannot reach it is given up.
+    """
+    known: list[Found] = []
+    change, left = 0.0, 0.0
+    while found.best.cost <= goal:
+        problem, best = found.problem, found.best
+        p = problem.record(best.theta)
+        if p['maximum_substep'] == problem.group.exact_substep_s:
+            return found
+        problem = replace(problem, group=recorrected(problem.group, p))
+        residual = problem.residual(best.theta)
+        change = 0.5 * float(residual @ residual - best.residual @ best.residual)
+        known.append(found._replace(problem=problem, best=best._replace(
+            cost=best.cost + change, residual=residual)))
+        left = SETTLED_SHARE * max(known[-1].best.cost - found.largest_cost, 0.0)
+        if abs(change) < SETTLED + left or len(known) == CORRECTIONS:
+            break
+        found = known[-1].refined(goal=goal)
+    if not known:
+        return found
+    found = min(known, key=lambda each: each.best.cost)
+    if abs(change) < COST_RANGE + left:
+        return found
+    group, p = found.problem.group, found.problem.record(found.best.theta)
+    shorter = next((each for each in SUBSTEPS_S if group.exact_substep_s < each
+                    < p['maximum_substep']), group.exact_substep_s)
+    problem = replace(found.problem, fixed=(*found.problem.fixed, ('maximum_substep', shorter)))
+    problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
+    return converged(found._replace(problem=problem, best=most_probable(
+        problem, found.best.theta, goal=goal)), goal)
+
+
+def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:
+    """Return a fit's parameter vector with the values of another fit for some fields."""
+    values = other.problem.record(other.best.theta)
+    return np.array([found.problem.parameter(free).share(float(values[free.field]))
+                     if free.field in fields else share
+                     for free, share in zip(found.problem.free, found.best.theta, strict=True)])
+
+
+def freed_fields(found: Found) -> tuple[set[str], set[str]]:
+    """Return the fields that are free in a fit, and those among them of its last effect."""
+    return ({free.field for free in found.problem.free},
+            {free.field for variant in found.variants[-1:] for free in variant.free})
+
+
+def columns_of(problem: Posterior, jacobian: Array) -> dict[str, Array]:
+    """Return the columns of a Jacobian by the fields of the free parameters."""
+    return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}
+
+
+def is_coarse(found: Found) -> bool:
+    """Return whether a fit is simulated with a sub-step that needs a correction."""
+    return bool(found.problem.record(found.best.theta)['maximum_substep']
+                > found.problem.group.exact_substep_s)
