@@ -28,6 +28,8 @@ from asi_controller.compensator import OWN_GAIN
 SIMILAR: Final = 0.25
 # Share of a bound that counts as far below it, for the paper's "≪".
 FAR_BELOW: Final = 0.1
+# The compensators differ most before this time after a step.
+FIRST_S: Final = 0.05
 CAPTIONS: Final = {
     'step_responses': 'Force and valve command after a step, with three compensators',
     'limit_cycle': 'Force of the limit cycle in time: the whole run and its last cycles',
@@ -105,7 +107,7 @@ def _steps(recorded: list[Recorded]) -> Figure:
             curves[each.plan.title] = (each.run.time_s - step['time_s'],
                                        share * each.run.signal('force'),
                                        share * each.run.signal('command'))
-    return figures.step_responses(curves, 0.25)
+    return figures.step_responses(curves, 0.25, first_s=FIRST_S)
 
 
 def _hysteresis(loop: Loop) -> Figure:

@@ -6,6 +6,7 @@ Figures of reports in one style: each function draws arrays in one matplotlib fi
 
 import html
 import io
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -13,8 +14,9 @@ from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import Formatter, MaxNLocator
 
 from asi_analysis.arrays import Array, Mask
 from asi_common.files import replacing
@@ -23,6 +25,11 @@ WIDTH_IN: Final = 5.2
 # Okabe and Ito's colours, which people with colour blindness can distinguish.
 BLUE, ORANGE, GREEN, PURPLE, GREY = '#0072b2', '#d55e00', '#009e73', '#a0519b', '#9aa3ab'
 COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE)
+# Lines that differ without colour too; the dashed one is that of a reference.
+LINES: Final = ('-', '-.', (0, (1.2, 0.8)), (0, (6, 1, 1, 1, 1, 1)))
+# Prefix of a unit for each power of 1000.
+PREFIXES: Final = dict(zip(range(-5, 5), ('f', 'p', 'n', 'µ', 'm', '', 'k', 'M', 'G', 'T'),
+                           strict=True))
 STYLE: Final[Any] = {
     'font.size': 9.0, 'axes.titlesize': 9.5, 'axes.titleweight': 'bold',
     'axes.titlelocation': 'left', 'axes.labelsize': 9.0, 'legend.fontsize': 8.5,
@@ -37,6 +44,22 @@ STYLE: Final[Any] = {
 def style() -> AbstractContextManager[None]:
     """Return the context in which every figure is drawn and saved."""
     return matplotlib.rc_context(STYLE)
+
+
+class UnitFormatter(Formatter):
+    """Ticks in a unit, all of an axis with one prefix: −20 µm, 0 µm, 20 µm."""
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        first, last = sorted(self.axis.get_view_interval())
+        largest = max(abs(first), abs(last))
+        power = math.floor(math.log10(largest) / 3.0) if largest > 0.0 else 0
+        power = min(max(power, min(PREFIXES)), max(PREFIXES))
+        # A tick at 0 may be a rounding error.
+        text = f'{round(x / 1000.0 ** power, 6):.10g} {PREFIXES[power]}{self.unit}'
+        return self.fix_minus(text).rstrip()
 
 
 @contextmanager
@@ -61,29 +84,49 @@ def svg(figure: Figure, description: str) -> str:
     return element.replace('<svg', f'<svg role="img" aria-label="{html.escape(description)}"', 1)
 
 
-def step_responses(runs: Mapping[str, tuple[Array, Array, Array | None]], end_s: float,
-                   name: str = 'force') -> Figure:
+Responses = Mapping[str, tuple[Array, Array, Array | None]]
+
+
+def step_responses(runs: Responses, end_s: float, name: str = 'force',
+                   first_s: float | None = None) -> Figure:
     """
     Draw a signal and the command after a step, relative to the size of the step.
 
     runs: label -> time since the step (s), signal and command (% of the step; None: not drawn), to
-    end_s; name: of the signal.
+    end_s; name: of the signal; first_s: time to which a panel of its own shows the beginning.
     """
-    with drawing(4.6) as figure:
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        above.step([-0.01e3, 0.0, 1e3 * end_s], [0.0, 0.0, 100.0], color='black',
-                   linewidth=0.9, linestyle='--', where='pre', label='reference')
-        for colour, (label, (time, force, command)) in zip(COLOURS, runs.items(), strict=False):
-            shown = (time >= -0.01) & (time <= end_s)
-            above.plot(1e3 * time[shown], force[shown], color=colour, label=label)
-            if command is not None:
-                below.plot(1e3 * time[shown], command[shown], color=colour, linewidth=1.1)
-        above.set(ylabel=f'{name} (% of the step)', xlim=(-10.0, 1e3 * end_s))
+    starts, ends = ([-0.01], [end_s]) if first_s is None else (
+        [-0.1 * first_s, first_s], [first_s, end_s])
+    with drawing(4.9) as figure:
+        panels = figure.subplots(2, len(ends), sharey='row', squeeze=False, height_ratios=(3, 2),
+                                 width_ratios=(3, 2)[:len(ends)])
+        for start, end, column in zip(starts, ends, panels.T, strict=True):
+            _step_panels(*column, runs, start, end)
+        (above, *_), (below, *_) = panels
+        above.set(ylabel=f'{name} (% of the step)')
         above.set_title(name.capitalize())
-        above.legend(loc='lower right')
-        below.set(ylabel='command (% of the step)', xlabel='time after the step (ms)')
+        below.set(ylabel='command (% of the step)')
         below.set_title('Valve command')
+        figure.supxlabel('time after the step (ms)', fontsize=STYLE['axes.labelsize'])
+        figure.legend(*above.get_legend_handles_labels(), loc='outside upper center',
+                      ncols=min(len(runs), 2), handlelength=3.5)
         return figure
+
+
+def _step_panels(above: Axes, below: Axes, runs: Responses, start_s: float, end_s: float) -> None:
+    """Draw the signals above and the commands below, from start to end."""
+    above.step([1e3 * min(start_s, -0.01), 0.0, 1e3 * end_s], [0.0, 0.0, 100.0], color='black',
+               linewidth=0.9, linestyle='--', where='pre', label='reference')
+    for (label, (time, signal, command)), colour, line in zip(
+            runs.items(), COLOURS, LINES, strict=False):
+        shown = (time >= start_s) & (time <= end_s)
+        above.plot(1e3 * time[shown], signal[shown], color=colour, linestyle=line, label=label)
+        if command is not None:
+            below.plot(1e3 * time[shown], command[shown], color=colour, linestyle=line,
+                       linewidth=1.1)
+    for axes in (above, below):
+        axes.set(xlim=(1e3 * start_s, 1e3 * end_s))
+    above.tick_params(labelbottom=False)
 
 
 def recording(time: Array, signals: Mapping[str, tuple[Array, str]]) -> Figure:

@@ -19,6 +19,7 @@ from asi_analysis.demo.runs import (
 from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
+from asi_analysis.reporting.figures import UnitFormatter, drawing, step_responses
 
 
 def recorded(plan, **changes):
@@ -114,3 +115,40 @@ def test_less_than_is_a_bound_on_the_size():
 def test_much_less_than_is_more_than_less_than(error_n, verdict):
     entry = Published('steady-state error', 'steady_state_error_n', 'N', 1.0, '≪ 2', 2.0)
     assert compare({'steady_state_error_n': error_n}, entry).verdict == verdict
+
+
+def ticks(low: float, high: float, unit: str) -> list[str]:
+    """Return the labels of an axis from low to high."""
+    with drawing(2.0) as figure:
+        axes = figure.subplots()
+        axes.set_ylim(low, high)
+        axes.yaxis.set_major_formatter(UnitFormatter(unit))
+        figure.draw_without_rendering()
+        return [each.get_text() for each in axes.get_yticklabels()
+                if low <= each.get_position()[1] <= high]
+
+
+@pytest.mark.parametrize('low, high, unit, expected', [
+    (-30e-6, 30e-6, 'm', ['−20 µm', '0 µm', '20 µm']),
+    (0.0, 1.1e3, 'N', ['0 kN', '0.2 kN', '1 kN']),     # 0.2 kN, not 200 N
+    (1e-3, 3e-3, '', ['1 m', '2 m', '3 m']),
+    (-2.0, 2.0, 'N', ['−2 N', '0 N', '2 N'])])
+def test_all_ticks_of_an_axis_have_one_prefix(low: float, high: float, unit: str,
+                                              expected: list[str]) -> None:
+    """The zero too: it was "0 m" between micrometres."""
+    found = ticks(low, high, unit)
+    assert set(expected) <= set(found)
+    assert {each.split(' ')[1] for each in found} == {expected[0].split(' ')[1]}
+
+
+def test_the_beginning_of_a_step_has_a_panel_and_each_curve_a_line_of_its_own() -> None:
+    time_s = np.linspace(-0.1, 0.3, 401)
+    runs = dict.fromkeys('abc', (time_s, time_s, time_s))
+    drawn = step_responses(runs, 0.25, first_s=0.05)
+    for panel, limits in zip(drawn.axes, 2 * [(-5.0, 50.0), (50.0, 250.0)], strict=True):
+        assert panel.get_xlim() == pytest.approx(limits)
+        curves = panel.get_lines()[-3:]
+        assert len({each.get_linestyle() for each in curves}) == 3
+        assert len({each.get_color() for each in curves}) == 3
+        assert all(limits[0] - 1e-9 <= x <= limits[1] + 1e-9
+                   for each in curves for x in each.get_xdata())

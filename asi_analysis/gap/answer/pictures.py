@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.words import chance
-from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, drawing
+from asi_analysis.reporting.figures import BLUE, GREY, ORANGE, UnitFormatter, drawing
 
 
 def _legend(figure: Figure, axes: Axes, **options: Any) -> None:
@@ -31,7 +31,7 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
         above.set_ylabel(label)
         _legend(figure, above)
         for axes in (above, below):
-            axes.yaxis.set_major_formatter(EngFormatter(unit))
+            axes.yaxis.set_major_formatter(UnitFormatter(unit))
             axes.fill_between(time, 0, 1, where=held_out, transform=axes.get_xaxis_transform(),
                               color='#f0f3f5', zorder=0, linewidth=0)
         below.set_ylabel('real - model')
@@ -49,8 +49,8 @@ def characteristic(given: Array, got: Array, models: Mapping[str, Array], labels
             axes.plot(given, model, color=colour, linewidth=1.0, label=name)
         axes.set_xlabel(labels[0])
         axes.set_ylabel(labels[1])
-        axes.xaxis.set_major_formatter(EngFormatter(units[0]))
-        axes.yaxis.set_major_formatter(EngFormatter(units[1]))
+        axes.xaxis.set_major_formatter(UnitFormatter(units[0]))
+        axes.yaxis.set_major_formatter(UnitFormatter(units[1]))
         _legend(figure, axes)
     return figure
 
