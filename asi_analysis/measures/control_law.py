@@ -106,7 +106,7 @@ class ControlLaw(NamedTuple):
             breaks=tuple(each for each in self.breaks if each.factor is not None))
 
 
-class _Rows(NamedTuple):
+class Rows(NamedTuple):
     """The equations of the fit, one row a command."""
 
     samples: npt.NDArray[np.intp]   # index of the command
@@ -119,10 +119,10 @@ class _Rows(NamedTuple):
         """Return the largest residual of an exact equation, in the unit of the command."""
         return max(EXACT, self.rounding) * float(np.ptp(self.command))
 
-    def of_order(self, order: int) -> '_Rows':
+    def of_order(self, order: int) -> 'Rows':
         """Return the rows for an equation of a lower order."""
         commands, references, signals = self.groups()
-        return _Rows(self.samples, np.hstack([commands[:, :order], references[:, :order + 1],
+        return Rows(self.samples, np.hstack([commands[:, :order], references[:, :order + 1],
                                               signals[:, :order + 1]]), self.command, order,
                      self.rounding)
 
@@ -134,7 +134,7 @@ class _Rows(NamedTuple):
 def control_law(time: Array, command: Array, reference: Array, signal: Array
                 ) -> ControlLaw | None:
     """Return the control law of n samples at one rate; None if no equation is exact."""
-    rows = _rows(time, command, reference, signal)
+    rows = rows_of(time, command, reference, signal)
     if len(rows.samples) < LEAST_ROWS:
         return None
     span = float(np.ptp(rows.command))
@@ -213,7 +213,7 @@ def _likely_delays(change: Array, other: Array, most: int) -> list[int]:
             for lag in np.argsort(-np.abs(np.fft.irfft(each)[1:most]))[:DELAYS_TRIED]]
 
 
-def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows:
+def rows_of(time: Array, command: Array, reference: Array, signal: Array) -> Rows:
     """Return the rows without missing samples, and without a limited or held command."""
     count = len(time)
     free = np.isfinite(command)
@@ -237,7 +237,7 @@ def _rows(time: Array, command: Array, reference: Array, signal: Array) -> _Rows
     columns = [command[samples - lag] for lag in range(1, ORDER + 1)]
     columns += [values[samples - lag] for values in (reference, signal)
                 for lag in range(ORDER + 1)]
-    return _Rows(samples, np.stack(columns, axis=1), command[samples], ORDER, rounding)
+    return Rows(samples, np.stack(columns, axis=1), command[samples], ORDER, rounding)
 
 
 def _rounding(values: Array) -> float:
@@ -262,13 +262,13 @@ def _sizes(known: Array) -> Array:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
-def _fit(known: Array, command: Array) -> Array:
+def fit(known: Array, command: Array) -> Array:
     """Return the coefficients of the columns by least squares."""
     scale = _sizes(known)
     return np.asarray(np.linalg.lstsq(known / scale, command, rcond=RANK_TOLERANCE)[0] / scale)
 
 
-def _satisfied(rows: _Rows) -> Mask | None:
+def _satisfied(rows: Rows) -> Mask | None:
     """Return which rows satisfy the equation that most rows satisfy; None if these are too few."""
     step = 1 + len(rows.samples) // MOST_FITTED
     known, command = rows.known[::step], rows.command[::step]
@@ -280,7 +280,7 @@ def _satisfied(rows: _Rows) -> Mask | None:
         valid = np.zeros(len(command), bool)
         valid[begin] = True
         for _ in range(REFITS):
-            factors = _fit(known[valid], command[valid])
+            factors = fit(known[valid], command[valid])
             now = np.abs(command - known @ factors) < rows.exact()
             if now.sum() <= 4 * ORDER or (now == valid).all():
                 break
@@ -291,12 +291,12 @@ def _satisfied(rows: _Rows) -> Mask | None:
             break
     if best.mean() < LEAST_SATISFIED:
         return None
-    factors = _fit(known[best], command[best])
+    factors = fit(known[best], command[best])
     residual = np.abs(rows.command - rows.known @ factors)
     return _with_rare_events(rows, residual < rows.exact())
 
 
-def _with_rare_events(rows: _Rows, valid: Mask) -> Mask:
+def _with_rare_events(rows: Rows, valid: Mask) -> Mask:
     """Return the rows with those that only a refit with them satisfies, as of the only step."""
     others = np.flatnonzero(~valid)
     groups = np.split(others, np.flatnonzero(np.diff(others) > 1) + 1)
@@ -304,18 +304,18 @@ def _with_rare_events(rows: _Rows, valid: Mask) -> Mask:
         both = valid.copy()
         both[group] = True
         chosen = np.union1d(group, np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED])
-        factors = _fit(rows.known[chosen], rows.command[chosen])
+        factors = fit(rows.known[chosen], rows.command[chosen])
         if np.abs(rows.command[both] - rows.known[both] @ factors).max() < rows.exact():
             valid = both
     return valid
 
 
-def _lowest_order(rows: _Rows, valid: Mask) -> tuple[_Rows, Array]:
+def _lowest_order(rows: Rows, valid: Mask) -> tuple[Rows, Array]:
     """Return the rows for the lowest order with an exact equation, and its coefficients."""
     chosen = np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED]
     for order in range(ORDER + 1):
         shorter = rows.of_order(order)
-        factors = _fit(shorter.known[chosen], rows.command[chosen])
+        factors = fit(shorter.known[chosen], rows.command[chosen])
         error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
         if error.max() < rows.exact():
             break
@@ -325,7 +325,7 @@ def _lowest_order(rows: _Rows, valid: Mask) -> tuple[_Rows, Array]:
 class _Space:
     """The space spanned by the rows of a fit: outside it the fit determines no command."""
 
-    def __init__(self, rows: _Rows, valid: Mask, factors: Array) -> None:
+    def __init__(self, rows: Rows, valid: Mask, factors: Array) -> None:
         self.scale = _sizes(rows.known[valid])
         _, values, vectors = np.linalg.svd(rows.known[valid] / self.scale, full_matrices=False)
         self.vectors = vectors[values > max(RANK_TOLERANCE, CLEAR * rows.rounding) * values[0]]
@@ -338,7 +338,7 @@ class _Space:
         return np.asarray(self.largest * np.linalg.norm(outside, axis=1))
 
 
-def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
+def _factor(rows: Rows, valid: Mask, span: float) -> float | None:
     """Return the one of FACTORS by which the signal is scaled; None if none or several fit."""
     step = 1 + int(valid.sum()) // TRIAL_ROWS
     bend = np.abs(np.diff(rows.command[valid], 2, prepend=[0.0, 0.0]))
@@ -351,7 +351,7 @@ def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
         before = earlier - feedforward * references[:, 1:]
         for factor in FACTORS:
             table = np.hstack([before, references - signals / factor])
-            error = beyond - table @ _fit(table, beyond)
+            error = beyond - table @ fit(table, beyond)
             if np.abs(error).max() < rows.exact():
                 possible.append(factor)
             if factor == 1.0:
@@ -361,7 +361,7 @@ def _factor(rows: _Rows, valid: Mask, span: float) -> float | None:
     return possible[0] if len(set(possible)) == 1 and sure else None
 
 
-def _same_static_gain(rows: _Rows, factors: Array, space: _Space) -> bool:
+def _same_static_gain(rows: Rows, factors: Array, space: _Space) -> bool:
     """
     Return whether the command does not change if reference and signal change by the same amount.
 
@@ -375,7 +375,7 @@ def _same_static_gain(rows: _Rows, factors: Array, space: _Space) -> bool:
         references.sum() + own.sum()) < BREAK * abs(own.sum()))
 
 
-def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -> float | None:
+def _scale(rows: Rows, valid: Mask, span: float, factors: Array, known: Mask) -> float | None:
     """
     Return the ratio of the scales of signal and reference, whatever it is; None if unknown.
 
@@ -404,16 +404,16 @@ def _scale(rows: _Rows, valid: Mask, span: float, factors: Array, known: Mask) -
     return float(found[0]) if abs(found[0] - 1.0) > OTHER_SCALE else None
 
 
-def _has_memory(rows: _Rows, valid: Mask, span: float) -> bool:
+def _has_memory(rows: Rows, valid: Mask, span: float) -> bool:
     """Return whether the command depends on earlier samples; else any residual may be altered."""
     chosen = np.flatnonzero(valid)[::1 + int(valid.sum()) // MOST_FITTED]
     shorter = rows.of_order(0)
-    factors = _fit(shorter.known[chosen], rows.command[chosen])
+    factors = fit(shorter.known[chosen], rows.command[chosen])
     error = np.abs(rows.command[valid] - shorter.known[valid] @ factors)
     return bool(error.max() > BREAK * span)
 
 
-def _is_stable(rows: _Rows, valid: Mask, factors: Array) -> bool | None:
+def _is_stable(rows: Rows, valid: Mask, factors: Array) -> bool | None:
     """Return whether the equation is stable, None if it has no memory or its samples few sines."""
     excited = rows.known[valid]
     if not rows.order or np.linalg.cond(excited / _sizes(excited)) > SAMPLES_CONDITION:
@@ -422,7 +422,7 @@ def _is_stable(rows: _Rows, valid: Mask, factors: Array) -> bool | None:
     return bool(np.abs(poles).max(initial=0.0) < LARGEST_POLE)
 
 
-def _breaks(rows: _Rows, factors: Array, residual: Array, span: float, has_memory: bool
+def _breaks(rows: Rows, factors: Array, residual: Array, span: float, has_memory: bool
             ) -> list[Break]:
     """
     Return the parts that violate the law because samples were altered, lost or repeated.
@@ -456,7 +456,7 @@ def _lost(breaks: list[Break]) -> list[Break]:
     return [each for each in breaks if each.lost]
 
 
-def _altered(rows: _Rows, part: slice, residual: Array, own: Array
+def _altered(rows: Rows, part: slice, residual: Array, own: Array
              ) -> tuple[float | None, float | None]:
     """Return the factor and offset of the signal that explain the residuals; None without one."""
     answered = rows.groups()[2][part] @ own

@@ -15,6 +15,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.breaks import FEWEST, cut_off, is_continuous, spikes
+from asi_analysis.measures.converter import missing_bit
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -271,7 +272,17 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         yield Finding('held', name, NOTE, whole_run(time),
                       f'the {name_of(name)} changes only every {held} samples: it was measured '
                       f'at {run.rate_hz / held:.4g} Hz')
-    whole = whole_run(time)
+    yield from _of_resolution(run, name, time, values)
+
+
+def _of_resolution(run: Run, name: str, time: Array, values: Array) -> Iterator[Finding]:
+    """Yield the findings on few levels, or on levels that a converter leaves out."""
+    whole, unit = whole_run(time), run.unit(name)
+    if lacking := missing_bit(values):
+        yield Finding('bit', name,
+                      DOUBTFUL if FEWEST_LEVELS * lacking.width > np.ptp(values) else NOTE, whole,
+                      f'the {name_of(name)} lacks bit {lacking.bit} of its converter: values in '
+                      f'gaps of {lacking.width:.4g} {unit}, as far apart, never occur')
     if coarse := _quantised(values):
         yield Finding('quantisation', name, DOUBTFUL if coarse[0] < FEWEST_LEVELS else NOTE, whole,
                       f'the {name_of(name)} has only {coarse[0]} different values, '

@@ -36,6 +36,7 @@ from asi_analysis.measures.finding import (
     place_of,
     whole_run,
 )
+from asi_analysis.measures.lost_rows import kept_between_lost, skipped_in_motion
 
 # Ratio of the standard deviations of a controlled signal and its reference above which (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square
@@ -270,7 +271,7 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
         if found_late := list(_of_delay(run, name)):
             return _ByCommand(found_late)
     if found is None:
-        return _ByCommand([])
+        return _ByCommand(list(_of_lost_rows(run, name)))
     if name in DIFFERENTIATED:
         found = found.of_servo()
     problems = []
@@ -336,6 +337,16 @@ def _of_delay(run: Run, name: str) -> Iterator[Finding]:
             ) + ': they are not synchronised')
 
 
+def _of_lost_rows(run: Run, name: str) -> Iterator[Finding]:
+    """Yield a note if the command follows from the rows before it except at each n-th."""
+    kept = kept_between_lost(run.time_s, run.signal('command'), run.signal('reference'),
+                             run.signal(name))
+    if kept:
+        yield Finding('missing', 'time', NOTE, whole_run(run.time_s),
+                      f'the command follows from the rows before it, but not after each {kept}: '
+                      'rows were lost there, or a part of the controller has a lower rate')
+
+
 def of_motion(run: Run) -> Iterator[Finding]:
     """Compare the position with the integral of the velocity: their units, and that of time."""
     if run.position_m is None or run.velocity_m_s is None or (
@@ -348,6 +359,11 @@ def of_motion(run: Run) -> Iterator[Finding]:
         yield Finding('motion', 'time', DOUBTFUL, jumped,
                       f'the position jumps {place_of(jumped)} without a velocity that explains '
                       'it: samples were lost, or altered')
+    if skipped := skipped_in_motion(*(each[known] for each in (
+            run.time_s, run.position_m, run.velocity_m_s))):
+        yield Finding('missing', 'time', DOUBTFUL, skipped,
+                      f'the position moves on as after more samples {place_of(skipped)}, '
+                      f'{len(skipped)} times: rows were lost there')
     whole = _position_ratio(run, known, run.velocity_m_s)
     if whole is None and (other := _exchanged(run, known)):
         time = ((float(run.time_s[known[0]]), float(run.time_s[known[-1]])),)
