@@ -53,6 +53,7 @@ class UnitFormatter(Formatter):
         self.unit = unit
 
     def __call__(self, x: float, pos: int | None = None) -> str:
+        assert self.axis is not None
         first, last = sorted(self.axis.get_view_interval())
         largest = max(abs(first), abs(last))
         power = math.floor(math.log10(largest) / 3.0) if largest > 0.0 else 0
@@ -100,8 +101,8 @@ def step_responses(runs: Responses, end_s: float, name: str = 'force',
     with drawing(4.9) as figure:
         panels = figure.subplots(2, len(ends), sharey='row', squeeze=False, height_ratios=(3, 2),
                                  width_ratios=(3, 2)[:len(ends)])
-        for start, end, column in zip(starts, ends, panels.T, strict=True):
-            _step_panels(*column, runs, start, end)
+        for start, end, above, below in zip(starts, ends, *panels, strict=True):
+            _step_panels(above, below, runs, start, end)
         (above, *_), (below, *_) = panels
         above.set(ylabel=f'{name} (% of the step)')
         above.set_title(name.capitalize())
