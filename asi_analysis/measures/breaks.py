@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from asi_analysis.arrays import Array, Mask
+from asi_analysis.measures.dead_time import repeated
 
 # Past changes of a signal, and of its input, in the linear prediction of its next change; least
 # and most samples to which that is fitted.
@@ -158,9 +159,9 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     Return the first and the last sample of each part between two jumps, out of n samples.
 
     A jump is a change that neither the past of the signal nor its reference predicts; a reference
-    explains a change of at most twice its own range. Two successive jumps enclose a part. With an
-    odd number of jumps it is unknown which side is right, and all samples are one part. A change
-    after a gap in time is no jump.
+    explains a change of at most twice its own range, and any that repeats its jumps late. Two
+    successive jumps enclose a part. With an odd number of jumps it is unknown which side is right,
+    and all samples are one part. A change after a gap in time is no jump.
     """
     if len(values) < FEWEST:
         return []
@@ -173,6 +174,7 @@ def jumps(time: Array, reference: Array, values: Array) -> list[tuple[int, int]]
     large[np.minimum(after, len(values) - 1)] = False
     places = np.flatnonzero(large)
     places = places[np.diff(places, prepend=-LAGS) > LAGS]
+    places = places[~repeated(reference, values, places)]
     if len(places) % 2:
         return [(0, len(values) - 1)]
     return [(int(first), int(end) - 1) for first, end in places.reshape(-1, 2)]
