@@ -9,7 +9,8 @@ from scipy import ndimage
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.breaks import is_noisy
-from asi_analysis.measures.correlation import correlation_delay
+from asi_analysis.measures.correlation import clear_delay, correlation_delay
+from asi_analysis.measures.dead_time import jumps_alone
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -65,7 +66,8 @@ MOSTLY_NOISE: Final = 0.1    # least share of the bends of a signal in its chang
 def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
               ) -> Iterator[Finding]:
     """Yield a finding if a signal comes before its reference."""
-    if early := _answered_before(time, reference, values):
+    if (early := _answered_before(time, reference, values)) and _answered_before(
+            time[:len(values) - clear_delay(reference, values)], *in_time(reference, values)):
         yield Finding('order', name, DOUBTFUL, early,
                       f'the {name_of(name)} changes before its reference does {place_of(early)}: '
                       'they are not synchronised')
@@ -77,6 +79,12 @@ def of_order(run: Run, name: str, time: Array, reference: Array, values: Array
         yield Finding('order', name, DOUBTFUL, whole_run(time),
                       f'the {name_of(name)} fits its reference best if it is '
                       f'{1e3 * lead * run.period_s:.4g} ms later: they are not synchronised')
+
+
+def in_time(reference: Array, values: Array) -> tuple[Array, Array]:
+    """Return a reference and its signal without the delay between them, if that is clear."""
+    delay = clear_delay(reference, values)
+    return reference[:len(reference) - delay], values[delay:]
 
 
 def _lead(reference: Array, values: Array) -> int:
@@ -107,10 +115,11 @@ def steps_of(reference: Array, values: Array) -> list[Step]:
     jumps = np.flatnonzero(changes > STEP * max(float(np.ptp(reference)), 1e-300))
     if not 0 < len(jumps) <= MOST_STEPS:
         return []
-    edges = [0, *(int(jump) + 1 for jump in jumps), len(values)]
+    # A level ends at any jump, but only large ones are steps.
+    edges = [0, *(np.union1d(jumps, np.flatnonzero(jumps_alone(reference))) + 1), len(values)]
     found = []
     for begin, jump, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
-        if min(jump - begin, end - jump) < SETTLED_SAMPLES:
+        if jump - 1 not in jumps or min(jump - begin, end - jump) < SETTLED_SAMPLES:
             continue
         before = values[begin:begin + max(1, (jump - begin) // 2)]
         after = values[jump + (end - jump) // 2:end]

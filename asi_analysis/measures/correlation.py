@@ -11,6 +11,8 @@ from asi_analysis.arrays import Array
 # Least correlation for a delay; largest difference of two correlations that count as equal.
 LEAST_CORRELATION: Final = 0.3
 EQUAL_CORRELATION: Final = 0.01
+# A delay is clear if all correlations that speak against it are below this share of its own.
+CLEARLY: Final = 0.8
 # Correlation of an input with itself from which on it repeats.
 REPEATS: Final = 0.9
 
@@ -31,6 +33,22 @@ def correlation_delay(input_: Array, output: Array, period_s: float) -> float | 
         (input_, output), (np.diff(input_), np.diff(output)))]
     coefficient, lag = max(found)
     return lag * period_s if coefficient > LEAST_CORRELATION else None
+
+
+def clear_delay(input_: Array, output: Array) -> int:
+    """
+    Return the lag (samples) of the output if it clearly follows the input, and not its inverse.
+
+    0 if that is not clear: the output may come before the input, at once, or be its negative.
+    """
+    for a, b in ((np.diff(input_), np.diff(output)), (input_, output)):
+        lags, coefficient = _correlations(a, b)
+        best = float(coefficient.max(initial=-1.0))
+        against = max(float(coefficient[lags <= 0].max(initial=-1.0)),
+                      -float(coefficient[coefficient > -1.0].min(initial=0.0)))
+        if best > LEAST_CORRELATION and against < CLEARLY * best:
+            return int(lags[np.argmax(coefficient)])
+    return 0
 
 
 def largest_correlation(a: Array, b: Array, longest: float = 0.5) -> tuple[float, float]:

@@ -17,6 +17,8 @@ BESIDE: Final = 5
 # at rest if it moves by less than this share of its next jump.
 ALIKE: Final = 0.3
 REST: Final = 0.2
+# Least gain of a single jump, and inverse of the largest.
+SIMILAR: Final = 0.3
 # Least share of the jumps of the reference that the signal repeats.
 REPEATED: Final = 0.75
 
@@ -31,7 +33,7 @@ class _Pairs(NamedTuple):
 
 
 def jumps_alone(values: Array) -> Mask:
-    """Return which of n changes of a signal to the next sample are far larger than those beside."""
+    """Return which changes of a signal to its next sample are far larger than those beside."""
     changes = np.abs(np.diff(values))
     beside = np.abs(np.arange(-BESIDE, BESIDE + 1)) > 0
     return np.asarray(changes > JUMP * ndimage.maximum_filter(changes, footprint=beside))
@@ -42,9 +44,9 @@ def repeated(reference: Array, values: Array, places: Places) -> Mask:
     Return which jumps of a signal of n samples, to the samples `places`, repeat its reference.
 
     Each then has a jump of the reference of proportionate size before it, all by one delay, and
-    nearly all jumps of the reference are repeated. A single one must have the size of that of the
-    reference, and the signal must rest between the two. With several, the jumps within the delay
-    after the first sample are repeated too: of what, was not recorded.
+    nearly all jumps of the reference are repeated. A single one must have about the size of that
+    of the reference, and the signal must rest between the two. With several, the jumps within the
+    delay after the first sample are repeated too: of what, was not recorded.
     """
     none = np.zeros(len(places), bool)
     sources = np.flatnonzero(jumps_alone(reference)) + 1
@@ -53,8 +55,20 @@ def repeated(reference: Array, values: Array, places: Places) -> Mask:
     pairs = _pairs(reference, values, places, sources)
     if pairs is None:
         return none
-    found = np.abs(places[:, None] - pairs.later).min(axis=1, initial=len(values)) <= 1
+    found = _beside(places, pairs.later)
     return found | (places < pairs.delay) if len(pairs.later) > 1 else found
+
+
+def only_repeats(reference: Array, values: Array) -> bool:
+    """Return whether a signal rests but for jumps that repeat those of its reference."""
+    places = np.flatnonzero(np.diff(values)) + 1
+    return 0 < len(places) == np.count_nonzero(jumps_alone(values)) and bool(
+        repeated(reference, values, places).all())
+
+
+def _beside(places: Places, others: Places) -> Mask:
+    """Return which samples are one of the others, or next to it."""
+    return np.isin(places[:, None] + np.arange(-1, 2), others).any(axis=1)
 
 
 def _pairs(reference: Array, values: Array, places: Places, sources: Places) -> _Pairs | None:
@@ -62,13 +76,13 @@ def _pairs(reference: Array, values: Array, places: Places, sources: Places) -> 
     delay = _likeliest(reference, values, places, sources)
     sources = sources[sources + delay < len(values)]
     wanted, got = _around(reference, sources), _around(values, sources + delay)
-    known = np.abs(places[:, None] - delay - sources).min(axis=0, initial=len(values)) <= 1
+    known = _beside(sources + delay, places)
     if not known.any():
         return None
     gain = float(np.median(got[known] / wanted[known]))
     alike = np.abs(got - gain * wanted) < ALIKE * np.abs(gain * wanted)
     large = np.abs(wanted) >= np.abs(wanted[known & alike]).min(initial=np.inf)
-    if not gain > 0.0 or alike.sum() <= REPEATED * large.sum() or not (alike & known).any():
+    if not gain > 0.0 or not large.any() or np.mean(alike[large]) < REPEATED:
         return None
     pairs = _Pairs(delay, sources[alike & large], (sources + delay)[alike & large], gain)
     return pairs if len(pairs.later) > 1 or _after_rest(values, pairs) else None
@@ -92,8 +106,8 @@ def _around(values: Array, places: Places) -> Array:
 
 
 def _after_rest(values: Array, pairs: _Pairs) -> bool:
-    """Return whether a single jump is as large as that of the reference, and comes after a rest."""
+    """Return whether a single jump is about that of the reference, and comes after a rest."""
     between = values[pairs.sources[0]:pairs.later[0] - 1]
     jump = abs(float(_around(values, pairs.later)[0]))
-    return abs(pairs.gain - 1.0) < ALIKE and float(
+    return SIMILAR < pairs.gain < 1.0 / SIMILAR and float(
         np.ptp(between) if len(between) else 0.0) < REST * jump

@@ -16,6 +16,7 @@ from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.breaks import FEWEST, cut_off, is_continuous, spikes
 from asi_analysis.measures.converter import missing_bit
+from asi_analysis.measures.dead_time import only_repeats
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -272,6 +273,9 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         yield Finding('held', name, NOTE, whole_run(time),
                       f'the {name_of(name)} changes only every {held} samples: it was measured '
                       f'at {run.rate_hz / held:.4g} Hz')
+    if run.reference_n is not None and name == CONTROLLED.get(run.unit('reference')) and (
+            only_repeats(run.reference_n[present], values)):
+        return      # its levels are those of the reference, whatever its resolution
     yield from _of_resolution(run, name, time, values)
 
 

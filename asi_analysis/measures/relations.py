@@ -19,6 +19,7 @@ from asi_analysis.measures.breaks import frozen, jumps, spikes, straight
 from asi_analysis.measures.causality import (
     CLEARLY,
     SOON,
+    in_time,
     moves_against_steps,
     of_exchange,
     of_noise,
@@ -27,6 +28,7 @@ from asi_analysis.measures.causality import (
 )
 from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
 from asi_analysis.measures.correlation import largest_correlation
+from asi_analysis.measures.dead_time import only_repeats
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -107,7 +109,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
                           f'the {name_of(name)} equals its {other} in every sample: '
                           'is it measured?')
             return
-    if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES:
+    if len(values) >= COPIED and 0 < np.count_nonzero(np.diff(values)) <= FEWEST_CHANGES and (
+            not only_repeats(reference, values)):
         yield Finding('clipping', name, DOUBTFUL, whole,
                       f'the {name_of(name)} only jumps, and is constant in between: it is cut off')
         return
@@ -131,7 +134,8 @@ def of_reference(run: Run, as_recorded: bool = False) -> Iterator[Finding]:
         if failed := [part for part in frozen(values) if part[1] == len(values) - 1]:
             yield _of_parts('frozen', name, time, failed)
         return
-    if not by_command.same_sign and _moves_against(reference, values):
+    if not by_command.same_sign and _moves_against(reference, values) and _moves_against(
+            *in_time(reference, values)):
         yield Finding('sign', name, DOUBTFUL, whole,
                       f'the {name_of(name)} moves against its reference: is its sign right?')
         return
