@@ -4,12 +4,11 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.measures.breaks import is_noisy
-from asi_analysis.measures.correlation import clear_delay, correlation_delay
+from asi_analysis.measures.correlation import CLEARLY, clear_delay, correlation_delay
 from asi_analysis.measures.dead_time import jumps_alone
 from asi_analysis.measures.finding import (
     DOUBTFUL,
@@ -24,7 +23,6 @@ from asi_analysis.measures.finding import (
 # Least lead (samples) of an output over its reference that counts; the correlation without the
 # shift must be below the share CLEARLY of that with it.
 EARLY_SAMPLES: Final = 3
-CLEARLY: Final = 0.8
 # Largest lead of an output, and longest delay of one of the wrong sign, as a share of the run.
 SOON: Final = 0.1
 # Largest share of its change that an output may complete before the reference changes.
@@ -43,9 +41,6 @@ SLOPE_SAMPLES: Final = 5
 SLOPE_SHARE: Final = 0.1
 TURNED: Final = 0.7     # share of its change of slope that a signal has completed
 SAME_TURN: Final = 0.3  # least share of the turn, or jump, of the reference
-# A jump is so many times larger than the changes of as many samples before and after it.
-JUMP: Final = 10.0
-BESIDE: Final = 5
 # A reference that goes on as before, but for a whole number of samples: largest change of slope
 # from sample to sample, as a share of it, of one that is smooth; largest differences of the slopes
 # beside, and of the number of samples.
@@ -252,12 +247,10 @@ def _jumps_together(time: Array, reference: Array, values: Array) -> tuple[Inter
     """Return where signal and reference jump in one sample, and elsewhere the signal is later."""
     if len(values) < FEWEST_SAMPLES:
         return ()
-    beside = np.abs(np.arange(-BESIDE, BESIDE + 1)) > 0
     jumped = np.ones(len(values) - 1, bool)
     for each in (reference, values):
-        changes = np.abs(np.diff(each))
-        jumped &= changes > JUMP * ndimage.maximum_filter(changes, footprint=beside)
-        jumped &= changes > STEP * STEP * float(np.ptp(each))
+        jumped &= jumps_alone(each)
+        jumped &= np.abs(np.diff(each)) > STEP * STEP * float(np.ptp(each))
     share = np.diff(values)[jumped] / np.diff(reference)[jumped]
     if not len(share) or len(share) > MOST_STEPS or not (
             (share > SAME_TURN) & (share < 1.0 / SAME_TURN)).all():

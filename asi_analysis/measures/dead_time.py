@@ -56,7 +56,7 @@ def repeated(reference: Array, values: Array, places: Places) -> Mask:
     if pairs is None:
         return none
     found = _beside(places, pairs.later)
-    return found | (places < pairs.delay) if len(pairs.later) > 1 else found
+    return np.asarray(found | (places < pairs.delay)) if len(pairs.later) > 1 else found
 
 
 def only_repeats(reference: Array, values: Array) -> bool:
@@ -68,7 +68,7 @@ def only_repeats(reference: Array, values: Array) -> bool:
 
 def _beside(places: Places, others: Places) -> Mask:
     """Return which samples are one of the others, or next to it."""
-    return np.isin(places[:, None] + np.arange(-1, 2), others).any(axis=1)
+    return np.asarray(np.isin(places[:, None] + np.arange(-1, 2), others).any(axis=1))
 
 
 def _pairs(reference: Array, values: Array, places: Places, sources: Places) -> _Pairs | None:

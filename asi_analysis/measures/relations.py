@@ -17,7 +17,6 @@ from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.breaks import frozen, jumps, spikes, straight
 from asi_analysis.measures.causality import (
-    CLEARLY,
     SOON,
     in_time,
     moves_against_steps,
@@ -27,7 +26,7 @@ from asi_analysis.measures.causality import (
     of_rows,
 )
 from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
-from asi_analysis.measures.correlation import largest_correlation
+from asi_analysis.measures.correlation import CLEARLY, largest_correlation
 from asi_analysis.measures.dead_time import only_repeats
 from asi_analysis.measures.finding import (
     DOUBTFUL,
