@@ -14,9 +14,11 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.breaks import FEWEST, cut_off, is_continuous, spikes
-from asi_analysis.measures.converter import missing_bit
-from asi_analysis.measures.dead_time import only_repeats
+from asi_analysis.measures.checks.breaks import FEWEST, cut_off, is_continuous, spikes
+from asi_analysis.measures.checks.converter import missing_bit
+from asi_analysis.measures.checks.dead_time import only_repeats
+from asi_analysis.measures.checks.recomputed import of_controller
+from asi_analysis.measures.checks.relations import moved_by, of_motion, of_reference
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -26,8 +28,6 @@ from asi_analysis.measures.finding import (
     place_of,
     whole_run,
 )
-from asi_analysis.measures.recomputed import of_controller
-from asi_analysis.measures.relations import moved_by, of_motion, of_reference
 
 # Samples further apart than this many periods have at least one missing between them.
 GAP_PERIODS: Final = 1.5

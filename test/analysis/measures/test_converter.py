@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
-from asi_analysis.measures.converter import missing_bit
+from asi_analysis.measures.checks.converter import missing_bit
 from asi_analysis.measures.quality import findings
 
 STEP_N = 240.0 / 4096

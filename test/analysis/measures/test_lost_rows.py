@@ -7,7 +7,7 @@ import pytest
 
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.loop.in_process import simulate
-from asi_analysis.measures.lost_rows import skipped_in_motion
+from asi_analysis.measures.checks.lost_rows import skipped_in_motion
 from asi_analysis.measures.quality import findings
 
 

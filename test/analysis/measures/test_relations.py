@@ -15,9 +15,9 @@ from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.loop.closed_loop import records, simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
-from asi_analysis.measures.control_law import ControlLaw, control_law
+from asi_analysis.measures.checks.control_law import ControlLaw, control_law
+from asi_analysis.measures.checks.recomputed import recomputed
 from asi_analysis.measures.quality import findings
-from asi_analysis.measures.recomputed import recomputed
 from asi_controller.compensator import commands, compensate, compensator
 from asi_controller.reference import reference_force
 

@@ -15,8 +15,8 @@ from scipy import ndimage
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.bags.run import CONTROLLED, Run
-from asi_analysis.measures.breaks import frozen, jumps, spikes, straight
-from asi_analysis.measures.causality import (
+from asi_analysis.measures.checks.breaks import frozen, jumps, spikes, straight
+from asi_analysis.measures.checks.causality import (
     SOON,
     in_time,
     moves_against_steps,
@@ -25,9 +25,10 @@ from asi_analysis.measures.causality import (
     of_order,
     of_rows,
 )
-from asi_analysis.measures.control_law import ControlLaw, control_law, delayed_signal
+from asi_analysis.measures.checks.control_law import ControlLaw, control_law, delayed_signal
+from asi_analysis.measures.checks.dead_time import only_repeats
+from asi_analysis.measures.checks.lost_rows import kept_between_lost, skipped_in_motion
 from asi_analysis.measures.correlation import CLEARLY, largest_correlation
-from asi_analysis.measures.dead_time import only_repeats
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,
@@ -37,7 +38,6 @@ from asi_analysis.measures.finding import (
     place_of,
     whole_run,
 )
-from asi_analysis.measures.lost_rows import kept_between_lost, skipped_in_motion
 
 # Ratio of the standard deviations of a controlled signal and its reference above which (or below
 # the inverse) a unit is probably wrong, if their correlation exceeds CORRELATED; above the square

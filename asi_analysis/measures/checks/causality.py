@@ -7,9 +7,9 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
-from asi_analysis.measures.breaks import is_noisy
+from asi_analysis.measures.checks.breaks import is_noisy
+from asi_analysis.measures.checks.dead_time import jumps_alone
 from asi_analysis.measures.correlation import CLEARLY, clear_delay, correlation_delay
-from asi_analysis.measures.dead_time import jumps_alone
 from asi_analysis.measures.finding import (
     DOUBTFUL,
     NOTE,

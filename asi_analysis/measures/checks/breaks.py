@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage, signal
 
 from asi_analysis.arrays import Array, Mask
-from asi_analysis.measures.dead_time import repeated
+from asi_analysis.measures.checks.dead_time import repeated
 
 # Past changes of a signal, and of its input, in the linear prediction of its next change; least
 # and most samples to which that is fitted.

@@ -1,0 +1,1 @@
+"""What can be wrong with a recording: each check tells the samples, and why."""
