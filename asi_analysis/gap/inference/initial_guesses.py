@@ -11,27 +11,27 @@ import math
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
-from scipy.signal import detrend
+from scipy.signal import detrend, find_peaks
 
 from asi_actuator.model.valve_flexure import dead_zone
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.inference.fit import STEP, Fitted
 from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import in_steps
-from asi_analysis.gap.model.effects import MOTIONS, of_recording
-from asi_analysis.gap.model.group import Values, acts_on
+from asi_analysis.gap.model.effects import MOTIONS, Variant, of_recording
+from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
 
 PULSE_GRID = 400      # start and end times in the coarse search for a pulse
 REFINEMENT = 50    # factor of each refinement of these times
-# Candidates for the number of quanta up to the largest command: a coarse grid, and a fine one
-# about its best. In the coarse search commands are binned; quanta that explain nearly as much as
-# the best are equivalent.
-STEPS = np.arange(2.0, 60.0, 0.02)
-FINE_STEPS = np.linspace(-0.1, 0.1, 101)
-BINS, EQUIVALENT = 1000, 0.99
+# Candidates for the number of quanta up to the largest command: a coarse grid, in which commands
+# are binned. So many of its local maxima, which come from a linear response, are simulated; then
+# so many about the best, finer and finer.
+STEPS = np.concatenate([np.arange(2.0, 60.0, 0.02), np.arange(60.0, 400.0, 0.1)])
+BINS, PEAKS = 4000, 60
+FINER = tuple(width * np.linspace(-1.0, 1.0, 11) for width in (0.05, 0.01))
 # Kinds of rounding: command_phase and command_truncated.
 QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
               'residual_step_zero': (0.0, 1.0)}
@@ -247,24 +247,43 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     largest = float(np.abs(command).max())
     used = _used(recording)
 
-    def gain(counts: Array, levels: Array, quantiser: tuple[float, float]) -> Array:
-        values, level = np.unique(levels, return_inverse=True)
-        out = np.empty(counts.size)
-        step_gain(values, np.bincount(level, used), np.bincount(level, gain_by_sample),
-                         largest / counts, *quantiser, band, bias, out)
-        return out
-
-    few_levels = np.unique(command).size <= BINS
     width = 2.0 * largest / BINS
-    found = {}
-    for name, quantiser in QUANTISERS.items():
-        levels = command if few_levels else width * np.round(command / width)
-        coarse = gain(STEPS, levels, quantiser)
-        nearby = STEPS[np.argmax(coarse)] + FINE_STEPS
-        gains = gain(nearby, command, quantiser)
+    binned = command if np.unique(command).size <= BINS else width * np.round(command / width)
+    values, level = np.unique(binned, return_inverse=True)
+    counts, sums = np.bincount(level, used), np.bincount(level, gain_by_sample)
+
+    def likeliest(form: Variant, steps: Array) -> float:
+        left = [_left_with(fitted, channel, recording, form, largest / each) for each in steps]
         # With few levels neighbouring quanta are equivalent until one level changes.
-        found[name] = largest / float(nearby[gains >= EQUIVALENT * gains.max()].mean())
+        return float(steps[left <= np.min(left)].mean())
+
+    found, gains = {}, np.empty(STEPS.size)
+    for form in _quantisations(fitted.problem.group):
+        name, = (free.scale for free in form.free)
+        step_gain(values, counts, sums, largest / STEPS, *QUANTISERS[name], band, bias, gains)
+        peaks, _ = find_peaks(gains)
+        highest = peaks[np.argsort(-gains[peaks])[:PEAKS]]
+        best = likeliest(form, STEPS[highest] if len(highest) else STEPS[:1])
+        for nearby in FINER:
+            best = likeliest(form, best + nearby)
+        found[name] = largest / best
     return found
+
+
+def _quantisations(group: Group) -> tuple[Variant, ...]:
+    """Return the forms of a quantised command."""
+    return next((effect.variants for effect in group.effects
+                 if effect.name == 'command_quantisation'), ())
+
+
+def _left_with(fitted: Fitted, channel: str, recording: Recording, form: Variant, quantum: float
+               ) -> float:
+    """Return the square sum of a channel's residual if the command is in steps of `quantum` N."""
+    p = fitted.problem.record(fitted.theta)   # with the sub-step of the fit
+    for name, value in (*form.fixed, (form.free[0].field, quantum)):
+        p[name] = value
+    left = (_target(recording, channel) - _predicted(recording, channel, p)) * _used(recording)
+    return float(left @ left)
 
 
 def _static_steps(fitted: Fitted) -> Values:

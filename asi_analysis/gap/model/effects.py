@@ -169,7 +169,7 @@ EFFECTS: tuple[Effect, ...] = (
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
     )),
     _effect('command_quantisation', (
-        *(Variant((Free('command_quantum', 0.999, 1.001, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
+        *(Variant((Free('command_quantum', 0.997, 1.003, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
           for guess, fixed in (('residual_step', (('command_phase', 0.0),)),
                               ('residual_step_edge', (('command_phase', 0.5),)),
                               ('residual_step_zero', (('command_truncated', 1.0),)))),

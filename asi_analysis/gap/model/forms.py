@@ -64,7 +64,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
               needs=('valve_flexure_model',)),
     ),
     'command_quantisation': tuple(
-        _form(VALVE, Free('command_path_quantum', 0.999, 1.001, (1.0,), guess, 'N'),
+        _form(VALVE, Free('command_path_quantum', 0.997, 1.003, (1.0,), guess, 'N'),
               fixed={'command_path_rounding': kind})
         for guess, kind in (('residual_step', NEAREST), ('residual_step_edge', EDGE),
                             ('residual_step_zero', ZERO))),

@@ -22,6 +22,7 @@ from asi_analysis.errors import InputWarning
 from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
+from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated import search
 from asi_analysis.gap.inference.simulated.screen import screen
@@ -237,6 +238,17 @@ class NextToNoPlant:
 def test_a_fit_ends_where_derivatives_overflow():
     best = most_probable(NextToNoPlant(), np.array([0.5]))
     assert best.theta == 0.5 and best.cost == 0.125
+
+
+@pytest.mark.parametrize('quantum', [8.0, 33.0])
+def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
+    """Of a controller whose command has large peaks; the hysteresis is as wide as a step."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'command_path.quantum': quantum}, noise=0.2, duration_s=2.0)
+    assert np.abs(run.command_n).max() > 60.0 * 8.0
+    fit = search.null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
+                                          ('valve',)))
+    assert initial_guesses(fit.as_fitted)['residual_step'] == pytest.approx(quantum, rel=3e-3)
 
 
 def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():

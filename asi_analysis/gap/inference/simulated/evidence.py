@@ -30,6 +30,9 @@ from asi_common.record import field_name
 
 # Log odds below the best at which the posterior volume is not computed: it can make up for less.
 NEGLIGIBLE = 40.0
+# Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
+# kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
+OF_ALL_QUANTA = math.log(3.0 * math.log(200.0) / 0.006)
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -182,6 +185,7 @@ def _log_posterior(found: Found, noise: _Noise, left: Array) -> float:
             - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
             - ODDS_AGAINST * len(found.names)
+            - OF_ALL_QUANTA * ('command_quantisation' in found.names)
             - sum(log_odds_against(ratio) for ratio in _ratios(found)))
 
 
