@@ -27,11 +27,11 @@ from asi_common.jit import jit
 PULSE_GRID = 400      # start and end times in the coarse search for a pulse
 REFINEMENT = 50    # factor of each refinement of these times
 # Candidates for the number of quanta up to the largest command: a coarse grid, in which commands
-# are binned. So many of its local maxima, which come from a linear response, are simulated; then
-# so many about the best, finer and finer.
+# are binned. So many of its local maxima, which come from a linear response, are simulated; then a
+# fine grid about the best. Quanta that explain nearly as much as the best are equivalent.
 STEPS = np.concatenate([np.arange(2.0, 60.0, 0.02), np.arange(60.0, 400.0, 0.1)])
 BINS, PEAKS = 4000, 60
-FINER = tuple(width * np.linspace(-1.0, 1.0, 11) for width in (0.05, 0.01))
+FINE_STEPS, EQUIVALENT = np.linspace(-0.1, 0.1, 101), 0.99
 # Kinds of rounding: command_phase and command_truncated.
 QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
               'residual_step_zero': (0.0, 1.0)}
@@ -247,26 +247,27 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     largest = float(np.abs(command).max())
     used = _used(recording)
 
+    def gain(counts: Array, levels: Array, quantiser: tuple[float, float]) -> Array:
+        values, level = np.unique(levels, return_inverse=True)
+        out = np.empty(counts.size)
+        step_gain(values, np.bincount(level, used), np.bincount(level, gain_by_sample),
+                         largest / counts, *quantiser, band, bias, out)
+        return out
+
+    few_levels = np.unique(command).size <= BINS
     width = 2.0 * largest / BINS
-    binned = command if np.unique(command).size <= BINS else width * np.round(command / width)
-    values, level = np.unique(binned, return_inverse=True)
-    counts, sums = np.bincount(level, used), np.bincount(level, gain_by_sample)
-
-    def likeliest(form: Variant, steps: Array) -> float:
-        left = [_left_with(fitted, channel, recording, form, largest / each) for each in steps]
-        # With few levels neighbouring quanta are equivalent until one level changes.
-        return float(steps[left <= np.min(left)].mean())
-
-    found, gains = {}, np.empty(STEPS.size)
+    found = {}
     for form in _quantisations(fitted.problem.group):
         name, = (free.scale for free in form.free)
-        step_gain(values, counts, sums, largest / STEPS, *QUANTISERS[name], band, bias, gains)
-        peaks, _ = find_peaks(gains)
-        highest = peaks[np.argsort(-gains[peaks])[:PEAKS]]
-        best = likeliest(form, STEPS[highest] if len(highest) else STEPS[:1])
-        for nearby in FINER:
-            best = likeliest(form, best + nearby)
-        found[name] = largest / best
+        levels = command if few_levels else width * np.round(command / width)
+        coarse = gain(STEPS, levels, QUANTISERS[name])
+        peaks, _ = find_peaks(coarse)
+        steps = STEPS[peaks[np.argsort(-coarse[peaks])[:PEAKS]]] if len(peaks) else STEPS[:1]
+        left = [_left_with(fitted, channel, recording, form, largest / each) for each in steps]
+        nearby = steps[np.argmin(left)] + FINE_STEPS
+        gains = gain(nearby, command, QUANTISERS[name])
+        # With few levels neighbouring quanta are equivalent until one level changes.
+        found[name] = largest / float(nearby[gains >= EQUIVALENT * gains.max()].mean())
     return found
 
 
