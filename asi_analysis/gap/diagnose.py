@@ -71,6 +71,8 @@ from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
 
+OTHER_LAWS = ("the simulator's own laws leave a gap, and no effect is found that closes it: laws "
+              'of another form do, or an effect that they hide')
 # Effects that may be a constant force, which only the zero of the position tells apart.
 CONSTANT = {'disturbance_force', 'valve_bias', 'sensor_offset'}
 
@@ -252,7 +254,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     joined = join(weighed)
     if simulated and not laws and any(
             each is None or each.group.hides_effects for each in answered):
-        joined = with_hidden_effect(joined)
+        joined, before = with_hidden_effect(joined), joined
+        notes += [OTHER_LAWS] if joined != before else []
     verdict = max(joined, key=lambda names: joined[names])
     as_fitted, weighed = weighed, [placed(each) for each in weighed]
     if 'disturbance_force' in verdict and any(

@@ -258,7 +258,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     width = 2.0 * largest / BINS
     found = {}
     for form in _quantisations(fitted.problem.group):
-        name, = (free.scale for free in form.free)
+        name = form.free[0].scale
         levels = command if few_levels else width * np.round(command / width)
         coarse = gain(STEPS, levels, QUANTISERS[name])
         peaks, _ = find_peaks(coarse)
@@ -272,9 +272,9 @@ def _steps(fitted: Fitted, channel: str) -> Values:
 
 
 def _quantisations(group: Group) -> tuple[Variant, ...]:
-    """Return the forms of a quantised command."""
-    return next((effect.variants for effect in group.effects
-                 if effect.name == 'command_quantisation'), ())
+    """Return the forms of a quantised command that begin with a guess of the quantum."""
+    return tuple(form for effect in group.effects if effect.name == 'command_quantisation'
+                 for form in effect.variants if form.free[0].scale in QUANTISERS)
 
 
 def _left_with(fitted: Fitted, channel: str, recording: Recording, form: Variant, quantum: float
