@@ -9,7 +9,7 @@ Information Theory, Inference and Learning Algorithms, 2003, ch. 27).
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
@@ -33,12 +33,17 @@ from asi_analysis.gap.model.simulator import metres_per_newton
 from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.parallel import cores
 
-STEP = 1e-4       # of a parameter's range, for finite differences
+# Finite differences, as shares of a parameter's range: the usual ones, and those where the cost is
+# rough (stick and slip). There the linearised problem promises more than ROUGH times what ends a
+# fit, and yet steps hardly help.
+STEP, WIDE_STEP, ROUGH = 1e-4, 1e-3, 20.0
 ROUNDS = 12       # at most so many Jacobians are computed in a fit
 # Convergence: a round lowers the cost by less than GAIN plus CONVERGED times the cost.
 GAIN, CONVERGED = 0.05, 3e-4
-DAMPING, TRIES = 1e-4, 5   # of Levenberg and Marquardt: at first; steps tried with more of it
-SLOW_GAIN = 0.003   # of the cost: if an updated Jacobian gains less, it is computed again
+# Damping of Levenberg and Marquardt: at first, least; the factor by which it is changed; steps
+# that are tried; the share of the promised gain that is enough.
+DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
+RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
 GAIN_MARGIN = 2.0   # a fit can gain at most this times what its linearisation promises
 LONGEST_STEP = 0.3   # as a share of a parameter's range
 SCAN_POINTS = 9     # values of an initial state that are tried where gradients mislead
@@ -52,6 +57,7 @@ CURVATURE_STEP, MOST_CURVATURE = 0.1, 0.4
 # Log prior odds against each effect, and each parameter beyond its tolerance: 4 % for all of about
 # forty together, so that a false alarm is rare.
 ODDS_AGAINST = 7.0
+SLIGHT = 0.5 * ODDS_AGAINST   # a gain of an effect that cannot make it probable
 MOST_KEPT = 2 ** 25   # bytes of a Jacobian that is kept
 
 NONE: Mapping[str, Array] = MappingProxyType({})
@@ -118,11 +124,12 @@ class Posterior(Problem):
                         for channel in self.group.channels])
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
-                 base: Array | None = None) -> Array:
+                 base: Array | None = None, size: float = STEP) -> Array:
         """
         Return the Jacobian of the residual: samples by parameters, from finite differences.
 
-        known: columns, by field, that are not computed again; base: the residual, if known.
+        known: columns, by field, that are not computed again; base: the residual, if known;
+        size: of the differences, as a share of each range.
         """
         residual = self.residual(theta) if base is None else base
 
@@ -131,7 +138,7 @@ class Posterior(Problem):
             if name in known:
                 return known[name]
             moved = theta.copy()
-            step = STEP if theta[number] < 0.5 else -STEP
+            step = size if theta[number] < 0.5 else -size
             moved[number] += step
             return (self._residual_of(self.record(moved)) - residual) / step
 
@@ -178,68 +185,143 @@ class Best(NamedTuple):
 
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
                   known: Mapping[str, Array] = NONE, goal: float = math.inf,
-                  converged: float = CONVERGED, near: Best | None = None) -> Best:
+                  converged: float = CONVERGED, near: Best | None = None,
+                  without: float = math.inf) -> Best:
     """
     Return the most probable parameters, from a start.
 
     By the Levenberg-Marquardt method, with second derivatives along each step (Transtrum and
     Sethna, arXiv:1201.5885): parameters are strongly correlated, so the minimum lies at the end
     of a narrow curved valley. known: columns of the first Jacobian, by field. After each step it
-    gets Broyden's update; it is computed again where steps no longer help, at most `rounds`
-    times. At the end, initial states with memory (flux, seals) are scanned over their whole
-    range: their influence ends at a reversal of the motion, so that gradients mislead.
+    gets Broyden's update; it is computed again, at most `rounds` times, where a step gains less
+    than the mean of all since then, the Jacobian counted as steps. At the end, initial states
+    with memory (flux, seals) are scanned over their whole range: their influence ends at a
+    reversal of the motion, so that gradients mislead.
     goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
     converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
-    same problem whose Jacobian is used at first.
+    same problem whose Jacobian is used at first; without: the cost of a fit without the last
+    effect; one that has found nothing better nearby, with a `known` Jacobian, is given up.
     """
-    mean, precision = problem.prior
-
-    theta, value = start, problem.residual(start)
-    cost, damping = problem.cost(theta, value), DAMPING
+    at, damping = _Point.of(problem, start), DAMPING
     if near is None or near.slopes is None:
-        slopes, fresh = problem.jacobian(theta, known, value), not known
+        slopes, fresh = problem.jacobian(at.theta, known, at.residual), not known
     else:
         slopes, fresh = near.slopes.astype(float), near.fresh
-    computed = fresh
-    since = cost   # the cost when the Jacobian was last computed
+    computed, size = fresh, STEP
+    since, steps = at.cost, at.theta.size / RUNS   # the cost when it was computed; its price
     while True:
         if not np.isfinite(slopes).all():   # beside parameters with which no plant is possible
-            return Best(theta, cost if math.isfinite(cost) else math.inf, value)
-        square = slopes.T @ slopes + np.diag(precision)
-        slope = slopes.T @ value + precision * (theta - mean)
-        before = cost
+            return Best(at.theta, at.cost if math.isfinite(at.cost) else math.inf, at.residual)
+        linear = _Linearised.of(problem, at, slopes)
         # The Jacobian has just been computed.
-        if since == cost and math.isfinite(goal) and (fresh or known):
-            _, most = least_step(square, slope, -theta, 1.0 - theta)
-            if cost - GAIN_MARGIN * most > goal:
-                return Best(theta, cost, value, _kept(slopes), computed)
-        for _ in range(TRIES if fresh else 1):
-            there = _damped_step(problem, theta, value, slopes, square, slope, damping)
-            value_there = problem.residual(there)
-            if (cost_there := problem.cost(there, value_there)) < cost:
-                step = there - theta
-                missed = value_there - value - slopes @ step
-                slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
-                theta, value, cost = there, value_there, cost_there
-                damping = max(0.1 * damping, 1e-7)
-                break
-            damping = 10.0 * max(damping, 1e-3)
-        if before - cost > GAIN + SLOW_GAIN * before:
+        if since == at.cost and (fresh or known) and at.cost - GAIN_MARGIN * linear.most > goal:
+            return at.best(slopes, computed)
+        before, (there, damping, tried) = at.cost, linear.step(damping, TRIES if fresh else 1)
+        if there is not None:
+            slopes, at = linear.updated(there), there
+        steps += tried
+        enough = GAIN + converged * before
+        ends = fresh and before - at.cost <= enough
+        if not ends and before - at.cost > GAIN and (
+                steps * math.log(before / at.cost) > tried * math.log(since / at.cost)):
             fresh = False
             continue
+        if not computed and abs(at.cost - without) < SLIGHT:
+            return at.best(slopes, computed)
         rounds -= 1
-        ends = fresh and before - cost <= GAIN + converged * before
+        if ends and linear.most > ROUGH * enough and size == STEP:
+            ends, size = False, WIDE_STEP
         if ends and rounds > 0:
-            there = min(_scanned_memories(problem, theta), default=theta, key=problem.cost)
-            value_there = problem.residual(there)
-            cost_there = problem.cost(there, value_there)
-            if cost - cost_there > GAIN + converged * cost:
-                theta, value, cost, ends = there, value_there, cost_there, False
-        if rounds < 1 or ends or (computed and cost - rounds * (since - cost) > goal):
-            return Best(theta, cost, value, _kept(slopes), computed)
-        slopes, since = problem.jacobian(theta, base=value), cost
-        computed = fresh = True
-        damping = min(damping, DAMPING)   # with the new Jacobian, full steps may work again
+            scanned = min((_Point.of(problem, theta) for theta in _scanned_memories(
+                problem, at.theta)), default=at, key=lambda point: point.cost)
+            if at.cost - scanned.cost > GAIN + converged * at.cost:
+                at, ends = scanned, False
+        if rounds < 1 or ends or (computed and at.cost - rounds * (since - at.cost) > goal):
+            return at.best(slopes, computed)
+        slopes = problem.jacobian(at.theta, base=at.residual, size=size)
+        since, steps, computed, fresh = at.cost, at.theta.size / RUNS, True, True
+
+
+class _Point(NamedTuple):
+    """Parameters, with their residual and negative log posterior."""
+
+    theta: Array
+    residual: Array
+    cost: float
+
+    @staticmethod
+    def of(problem: Posterior, theta: Array) -> '_Point':
+        """Return the point of these parameters."""
+        residual = problem.residual(theta)
+        return _Point(theta, residual, problem.cost(theta, residual))
+
+    def best(self, slopes: Array, fresh: bool) -> Best:
+        """Return the point as the result of a fit."""
+        return Best(self.theta, self.cost, self.residual, _kept(slopes), fresh)
+
+
+class _Linearised(NamedTuple):
+    """A posterior about a point: Jacobian, normal equations, the largest gain they promise."""
+
+    problem: Posterior
+    at: _Point
+    slopes: Array
+    square: Array
+    slope: Array
+    most: float
+
+    @staticmethod
+    def of(problem: Posterior, at: _Point, slopes: Array) -> '_Linearised':
+        """Return the posterior, linearised about a point by a Jacobian."""
+        mean, precision = problem.prior
+        square = slopes.T @ slopes + np.diag(precision)
+        slope = slopes.T @ at.residual + precision * (at.theta - mean)
+        most = least_step(square, slope, -at.theta, 1.0 - at.theta)[1]
+        return _Linearised(problem, at, slopes, square, slope, most)
+
+    def step(self, damping: float, tries: int) -> tuple[_Point | None, float, int]:
+        """
+        Return the best of steps with several dampings, if one helps, its damping, their number.
+
+        A Jacobian costs as much as ten steps, and how much damping gains most changes along a
+        curved valley by orders of magnitude. More is tried until a step helps, then less, within
+        the bracket of what does not help, until a step gains most of what is promised.
+        """
+        best, least = None, 0.0   # least: the largest damping that is too small
+        tried = 0
+        while tried < tries:
+            tried += 1
+            there = _Point.of(self.problem, self._damped(damping))
+            if there.cost < (best or self.at).cost:
+                best, chosen = there, damping
+                if self.at.cost - there.cost > ENOUGH * self.most or damping <= LEAST_DAMPING:
+                    break
+            else:
+                least = damping
+            if best is None:
+                damping = CHANGE * damping
+            elif chosen > 0.5 * CHANGE * least:
+                damping = math.sqrt(chosen * least) if least else chosen / CHANGE
+            else:
+                break
+        return best, damping if best is None else chosen, tried
+
+    def updated(self, there: _Point) -> Array:
+        """Return the Jacobian after a step, with Broyden's update."""
+        step = there.theta - self.at.theta
+        missed = there.residual - self.at.residual - self.slopes @ step
+        return self.slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
+
+    def _damped(self, damping: float) -> Array:
+        """Return the parameters after a damped step, corrected for the residual's curvature."""
+        theta = self.at.theta
+        damped = self.square + damping * np.diag(np.diag(self.square))
+        low, high = np.maximum(-theta, -LONGEST_STEP), np.minimum(1.0 - theta, LONGEST_STEP)
+        straight, _ = least_step(damped, self.slope, low, high)
+        bend = 0.5 * self.slopes.T @ self.problem.curvature(theta, self.at.residual, straight)
+        bent, _ = least_step(damped, self.slope + bend, low, high)
+        near = np.linalg.norm(bent - straight) < MOST_CURVATURE * np.linalg.norm(straight)
+        return np.clip(theta + (bent if near else straight), 0.0, 1.0)
 
 
 def _kept(slopes: Array) -> Slopes | None:
@@ -255,18 +337,6 @@ def _scanned_memories(problem: Posterior, theta: Array) -> Iterator[Array]:
                 there = theta.copy()
                 there[number] = share
                 yield there
-
-
-def _damped_step(problem: Posterior, theta: Array, value: Array, slopes: Array, square: Array,
-          slope: Array, damping: float) -> Array:
-    """Return the parameters after a damped step, corrected for the residual's curvature."""
-    damped = square + damping * np.diag(np.diag(square))
-    low, high = np.maximum(-theta, -LONGEST_STEP), np.minimum(1.0 - theta, LONGEST_STEP)
-    straight, _ = least_step(damped, slope, low, high)
-    bend = 0.5 * slopes.T @ problem.curvature(theta, value, straight)
-    bent, _ = least_step(damped, slope + bend, low, high)
-    near = np.linalg.norm(bent - straight) < MOST_CURVATURE * np.linalg.norm(straight)
-    return np.clip(theta + (bent if near else straight), 0.0, 1.0)
 
 
 def fitted(problem: Posterior, best: Best) -> Fitted:
@@ -327,6 +397,13 @@ class Found(NamedTuple):
         """Return the hypothesis with its fit continued, as `most_probable` does."""
         return self._replace(best=most_probable(self.problem, self.best.theta, rounds, goal=goal,
                                                 near=self.best))
+
+    def lighter(self, share: float, rounds: int = ROUNDS) -> 'Found':
+        """Return the hypothesis, refitted with this share of the weight of its data."""
+        group = self.problem.group
+        weight = {channel: share * value for channel, value in group.weight.items()}
+        light = replace(self.problem, group=replace(group, weight=weight))
+        return self.weighed_as(light).refined(rounds).weighed_as(self.problem)
 
     @property
     def relative_residual(self) -> Array:

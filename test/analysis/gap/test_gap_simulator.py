@@ -23,7 +23,7 @@ from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
-from asi_analysis.gap.inference.posterior import most_probable
+from asi_analysis.gap.inference.posterior import STEP, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import search
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator, parameter_errors
@@ -231,13 +231,39 @@ class NextToNoPlant:
     def cost(self, theta, residual):
         return 0.5 * float(residual @ residual)
 
-    def jacobian(self, theta, known=None, base=None):
+    def jacobian(self, theta, known=None, base=None, size=0.0):
         return np.array([[np.inf]])
 
 
 def test_a_fit_ends_where_derivatives_overflow():
     best = most_probable(NextToNoPlant(), np.array([0.5]))
     assert best.theta == 0.5 and best.cost == 0.125
+
+
+class Valley(Posterior):
+    """A narrow, winding valley, lowest (0) where x is 0.9."""
+
+    prior, free, pool = (np.full(3, 0.5), np.zeros(3)), (), None
+
+    def __init__(self):
+        pass
+
+    def residual(self, theta):
+        x, y, z = theta
+        return np.array([300.0 * (y - 0.5 - 0.4 * np.sin(9.0 * x)),
+                         300.0 * (z - 0.5 - 0.4 * np.cos(7.0 * y)), 30.0 * (x - 0.9)])
+
+    def prior_cost(self, theta):
+        return 0.0
+
+    def jacobian(self, theta, known=None, base=None, size=STEP):
+        return np.array([(self.residual(theta + size * axis) - base) / size
+                         for axis in np.eye(3)]).T
+
+
+def test_a_fit_follows_a_narrow_winding_valley():
+    best = most_probable(Valley(), np.array([0.1, 0.2, 0.8]), rounds=40)
+    assert best.cost < 1.0 and best.theta[0] == pytest.approx(0.9, abs=0.02)
 
 
 @pytest.mark.parametrize('quantum', [8.0, 33.0])

@@ -15,6 +15,9 @@ from asi_analysis.gap.model.simulator import SUBSTEPS_S
 # until that changes the log posterior by less than SETTLED, or by less than a share of what noise
 # does not explain.
 CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
+# Of the weight of the data, for a fit with usual parameters: the factor of each next fit, the
+# smallest share, and the Jacobians of each fit.
+LIGHTER, LEAST_SHARE, LIGHT_ROUNDS = 0.125, 1e-6, 3
 
 
 def converged(found: Found, goal: float = math.inf) -> Found:
@@ -53,6 +56,20 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(
         problem, found.best.theta, goal=goal)), goal)
+
+
+def with_usual_parameters(found: Found) -> Found:
+    """
+    Return a hypothesis with nominal parameters as probable as usual, so that more is left.
+
+    The data get less and less weight. Where improbable parameters hide an effect, it shows there,
+    and the residual is smaller than with the nominal values.
+    """
+    share = 1.0
+    while found.improbable and share > LEAST_SHARE:
+        share *= LIGHTER
+        found = found.lighter(share, LIGHT_ROUNDS)
+    return found
 
 
 def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:

@@ -150,12 +150,10 @@ def _nearest_to_nominal(found: Found, equal: Array) -> Found:
             break
         nearest = there
     for lighter in range(halvings + 1, HALVINGS + 1):
-        group = replace(problem.group, weight={channel: 0.5 ** lighter * weight for channel, weight
-                                               in problem.group.weight.items()})
-        near = nearest.weighed_as(replace(problem, group=group)).refined()
-        if (mean_squares(near.problem, near.best.residual) > equal).any():
+        near = nearest.lighter(0.5 ** lighter)
+        if (mean_squares(problem, near.best.residual) > equal).any():
             break
-        nearest = near.weighed_as(problem)
+        nearest = near
     return nearest
 
 

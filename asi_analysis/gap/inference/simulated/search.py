@@ -24,6 +24,7 @@ from asi_analysis.gap.inference.posterior import (
     GAIN_MARGIN,
     ODDS_AGAINST,
     ROUNDS,
+    SLIGHT,
     Best,
     Found,
     Posterior,
@@ -37,6 +38,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     converged,
     freed_fields,
     is_coarse,
+    with_usual_parameters,
     with_values_of,
 )
 from asi_analysis.gap.inference.simulated.formulation import (
@@ -153,12 +155,10 @@ def null_fit(group: Group) -> Found:
     group = replace(group, effects=(*group.effects, *parameter_errors(group)),
                     scale=dict(group.scale))
     problem = Posterior(group, group.nuisance)
-    starts = list(_start_guesses(problem))
-    if len(starts) > 1:
-        starts = [min((most_probable(problem, start, rounds=2) for start in starts),
-                      key=lambda best: best.cost).theta]
-    null = converged(Found((), (), problem, most_probable(problem, starts[0],
-                                                           rounds=2 * ROUNDS)))
+    first = min((most_probable(problem, start, rounds=2) for start in _start_guesses(problem)),
+                key=lambda best: best.cost)
+    null = converged(Found((), (), problem, most_probable(
+        problem, first.theta, rounds=2 * ROUNDS, converged=0.0, near=first)))
     # From here on, a recording that starts in motion has the initial state of this fit.
     return null._replace(best=null.best._replace(slopes=None), problem=replace(
         null.problem, group=with_fitted_start(
@@ -200,10 +200,15 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
     singles: dict[Names, Found] = {}
     if not null.unexplained:
         singles = _extended(null, null, tick, alone)
-    # Errors of nominal parameters hide an effect: then the screen starts from the nominal values.
+    # Errors of nominal parameters hide an effect: then the screen starts from usual ones.
     if null.unexplained or null.prior_cost > ODDS_AGAINST:
-        singles = _best_of(singles, _extended(null.at_nominal, null, tick, alone))
+        singles = _best_of(singles, _extended(_beside(null), null, tick, alone))
     return {(): _refitted_from_larger(null, list(singles.values()))} | singles
+
+
+def _beside(found: Found) -> Found:
+    """Return where the search for one more effect starts, beside improbable parameters."""
+    return with_usual_parameters(found) if found.improbable else found.at_nominal
 
 
 def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
@@ -252,7 +257,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
 
 def _with_second(first: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
     """Return a single effect, refitted from its pairs where that helps, and these pairs."""
-    pairs = _extended(first.at_nominal, first, tick, alone)
+    pairs = _extended(_beside(first), first, tick, alone)
     return {first.names: _refitted_from_larger(first, list(pairs.values()))} | pairs
 
 
@@ -290,7 +295,7 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
 
 
 def _start_guesses(problem: Posterior) -> Iterator[Array]:
-    """Yield nominal parameters with initial guesses of the states of recordings in motion."""
+    """Yield nominal parameters, with guesses of the shapes of laws and of initial states."""
     mean = problem.nominal
     yield mean
     started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
@@ -361,8 +366,8 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     if not fits:
         return {}
     ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
-    leader = converged(ranked[0].refined())
-    best_forms, far = {names: found.best for names, found in fits.items()}, null.unexplained
+    leader = converged(ranked[0].refined(2 * ROUNDS))
+    best_forms = {names: found.best for names, found in fits.items()}
     fits[leader.names] = leader
     fields, own = freed_fields(leader)
     # If the leader leaves more than noise, another effect must gain much: that is seen without
@@ -381,14 +386,15 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(with_values_of(form, null, freed_fields(form)[0]))
         starts = [(min(shared, key=form.problem.cost), at_leader)]
-        # Where the gap is large, the leader's parameter values may be a bad start.
-        if far and form.best is best_forms.get(form.names):
+        # Where there is much to explain, the leader's parameter values may be a bad start.
+        if null.may_lack_an_effect and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
         of_effect = freed_fields(form)[1]
         best = min((most_probable(form.problem, start, goal=goal, known={
-            field: column for field, column in near.items() if field not in of_effect})
-            for start, near in starts), key=lambda best: best.cost)
-        return converged(form._replace(best=best), goal)
+            field: column for field, column in near.items() if field not in of_effect},
+            without=null.best.cost) for start, near in starts), key=lambda best: best.cost)
+        found = form._replace(best=best)
+        return converged(found, goal) if _may_count(found, null) else found
 
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
@@ -404,7 +410,19 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
         tick()
-    return {names: found for names, found in fits.items() if found.best.cost < math.inf}
+    return {names: found for names, found in fits.items() if found.best.cost < math.inf
+            and (names == leader.names or _may_count(found, null))}
+
+
+def _may_count(found: Found, null: Found) -> bool:
+    """
+    Return whether a fit with one more effect can have evidence beside the one without it.
+
+    That is: its log posterior is higher, or its nominal parameters are more probable. These
+    count for more where a model error leaves the data a smaller weight.
+    """
+    return (found.best.cost < null.best.cost - SLIGHT
+            or found.prior_cost < null.prior_cost - SLIGHT)
 
 
 def _rivals(base: Found, leader: Found, tick: Callable[[], None]) -> list[Found]:
