@@ -277,6 +277,18 @@ def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
     assert initial_guesses(fit.as_fitted)['residual_step'] == pytest.approx(quantum, rel=3e-3)
 
 
+@pytest.mark.parametrize(('machine', 'steps'), [
+    ({}, False), ({'valve_hysteresis.rounding': 0.3}, False),
+    ({'command_path.quantum': 24.0}, True)])
+def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(machine, steps):
+    """They change the residual by 8 %, as another law of hysteresis might."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, **machine}, duration_s=4.0)
+    answered, = explained_by_simulator([simulator_group(
+        simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
+    assert (answered.probability.get(('command_quantisation',), 0.0) > 0.9) == steps
+
+
 def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=1.0)

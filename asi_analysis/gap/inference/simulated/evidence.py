@@ -32,7 +32,7 @@ from asi_common.record import field_name
 NEGLIGIBLE = 40.0
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
-OF_ALL_QUANTA = math.log(3.0 * math.log(200.0) / 0.006)
+STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 0.006)
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -70,8 +70,9 @@ def weigh(group: Group, found: Mapping[Names, Found]
 
     def left(each: Found) -> Array:
         """Return the mean square residual; one below that of `simplest` is no evidence."""
-        low = equal if simplest is None or len(each.names) <= len(simplest.names) else (
-            np.maximum(equal, mean_squares(simplest.problem, simplest.best.residual)))
+        enough = None if simplest is None else found.get(_with_steps_of(each, simplest))
+        low = equal if enough is None or len(each.names) <= len(enough.names) else (
+            np.maximum(equal, mean_squares(enough.problem, enough.best.residual)))
         return np.maximum(mean_squares(each.problem, each.best.residual), low)
 
     def value(each: Found) -> float:
@@ -144,6 +145,15 @@ def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
     return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
 
 
+def _with_steps_of(found: Found, simplest: Found) -> Names:
+    """
+    Return the effects of `simplest`, with the steps of the command if the hypothesis has them.
+
+    No formulation of another law leaves the steps of a converter.
+    """
+    return tuple(sorted({*simplest.names, *({STEPS} & {*found.names})}))
+
+
 def equal_below(best: Found) -> Array:
     """
     Return the mean square residual of each channel below which hypotheses fit equally well.
@@ -185,7 +195,7 @@ def _log_posterior(found: Found, noise: _Noise, left: Array) -> float:
             - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
             - ODDS_AGAINST * len(found.names)
-            - OF_ALL_QUANTA * ('command_quantisation' in found.names)
+            - OF_ALL_QUANTA * (STEPS in found.names)
             - sum(log_odds_against(ratio) for ratio in _ratios(found)))
 
 
