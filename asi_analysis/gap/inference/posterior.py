@@ -40,10 +40,12 @@ STEP, WIDE_STEP, ROUGH = 1e-4, 1e-3, 20.0
 ROUNDS = 12       # at most so many Jacobians are computed in a fit
 # Convergence: a round lowers the cost by less than GAIN plus CONVERGED times the cost.
 GAIN, CONVERGED = 0.05, 3e-4
-# Damping of Levenberg and Marquardt: at first, least; the factor by which it is changed; steps
-# that are tried; the share of the promised gain that is enough.
+# Damping of Levenberg and Marquardt: at first, and so small that no less is tried; the factor by
+# which it is changed; steps that are tried; the share of the promised gain that is enough.
 DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
 RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
+MOST_STEPS = 2   # for each parameter, with Broyden's updates of one Jacobian
+LEAST_COST = 1e-300
 GAIN_MARGIN = 2.0   # a fit can gain at most this times what its linearisation promises
 LONGEST_STEP = 0.3   # as a share of a parameter's range
 SCAN_POINTS = 9     # values of an initial state that are tried where gradients mislead
@@ -193,14 +195,15 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     By the Levenberg-Marquardt method, with second derivatives along each step (Transtrum and
     Sethna, arXiv:1201.5885): parameters are strongly correlated, so the minimum lies at the end
     of a narrow curved valley. known: columns of the first Jacobian, by field. After each step it
-    gets Broyden's update; it is computed again, at most `rounds` times, where a step gains less
-    than the mean of all since then, the Jacobian counted as steps. At the end, initial states
-    with memory (flux, seals) are scanned over their whole range: their influence ends at a
-    reversal of the motion, so that gradients mislead.
+    gets Broyden's update; it is computed again, up to `rounds` in all, where a step gains less, in
+    the log of the cost, than the mean of all since then, the Jacobian counted as steps. At the
+    end, initial states with memory (flux, seals) are scanned over their whole range: their
+    influence ends at a reversal of the motion, so that gradients mislead.
     goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
     converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
-    same problem whose Jacobian is used at first; without: the cost of a fit without the last
-    effect; one that has found nothing better nearby, with a `known` Jacobian, is given up.
+    same problem whose Jacobian is used at first; without: the cost of the fit without the last
+    effect. A fit that ends within SLIGHT of it with the `known` Jacobian, which promises no more,
+    is given up.
     """
     at, damping = _Point.of(problem, start), DAMPING
     if near is None or near.slopes is None:
@@ -210,36 +213,41 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     computed, size = fresh, STEP
     since, steps = at.cost, at.theta.size / RUNS   # the cost when it was computed; its price
     while True:
-        if not np.isfinite(slopes).all():   # beside parameters with which no plant is possible
-            return Best(at.theta, at.cost if math.isfinite(at.cost) else math.inf, at.residual)
         linear = _Linearised.of(problem, at, slopes)
-        # The Jacobian has just been computed.
-        if since == at.cost and (fresh or known) and at.cost - GAIN_MARGIN * linear.most > goal:
-            return at.best(slopes, computed)
+        if linear is None:   # beside parameters with which no plant is possible
+            return Best(at.theta, at.cost if math.isfinite(at.cost) else math.inf, at.residual)
+        least = at.cost - GAIN_MARGIN * linear.most
+        if since == at.cost and (fresh or known) and least > goal:   # a Jacobian just computed
+            return at.best(slopes, fresh and size == STEP)
         before, (there, damping, tried) = at.cost, linear.step(damping, TRIES if fresh else 1)
         if there is not None:
             slopes, at = linear.updated(there), there
         steps += tried
         enough = GAIN + converged * before
         ends = fresh and before - at.cost <= enough
-        if not ends and before - at.cost > GAIN and (
-                steps * math.log(before / at.cost) > tried * math.log(since / at.cost)):
+        if not ends and before - at.cost > GAIN and steps < MOST_STEPS * at.theta.size and (
+                steps * _log_ratio(before, at.cost) > tried * _log_ratio(since, at.cost)):
             fresh = False
             continue
-        if not computed and abs(at.cost - without) < SLIGHT:
-            return at.best(slopes, computed)
+        if not computed and abs(at.cost - without) < SLIGHT and least > without - SLIGHT:
+            return at.best(slopes, False)
         rounds -= 1
         if ends and linear.most > ROUGH * enough and size == STEP:
-            ends, size = False, WIDE_STEP
+            ends, size, damping = False, WIDE_STEP, DAMPING
         if ends and rounds > 0:
             scanned = min((_Point.of(problem, theta) for theta in _scanned_memories(
                 problem, at.theta)), default=at, key=lambda point: point.cost)
             if at.cost - scanned.cost > GAIN + converged * at.cost:
-                at, ends = scanned, False
+                at, ends, fresh = scanned, False, False
         if rounds < 1 or ends or (computed and at.cost - rounds * (since - at.cost) > goal):
-            return at.best(slopes, computed)
+            return at.best(slopes, fresh and size == STEP)
         slopes = problem.jacobian(at.theta, base=at.residual, size=size)
         since, steps, computed, fresh = at.cost, at.theta.size / RUNS, True, True
+
+
+def _log_ratio(before: float, after: float) -> float:
+    """Return the log of the ratio of two costs, the later of which may be 0."""
+    return math.log(max(before, LEAST_COST) / max(after, LEAST_COST))
 
 
 class _Point(NamedTuple):
@@ -271,10 +279,12 @@ class _Linearised(NamedTuple):
     most: float
 
     @staticmethod
-    def of(problem: Posterior, at: _Point, slopes: Array) -> '_Linearised':
-        """Return the posterior, linearised about a point by a Jacobian."""
+    def of(problem: Posterior, at: _Point, slopes: Array) -> '_Linearised | None':
+        """Return the posterior, linearised about a point by a Jacobian, unless that overflows."""
         mean, precision = problem.prior
         square = slopes.T @ slopes + np.diag(precision)
+        if not np.isfinite(square).all():
+            return None
         slope = slopes.T @ at.residual + precision * (at.theta - mean)
         most = least_step(square, slope, -at.theta, 1.0 - at.theta)[1]
         return _Linearised(problem, at, slopes, square, slope, most)
@@ -284,10 +294,10 @@ class _Linearised(NamedTuple):
         Return the best of steps with several dampings, if one helps, its damping, their number.
 
         A Jacobian costs as much as ten steps, and how much damping gains most changes along a
-        curved valley by orders of magnitude. More is tried until a step helps, then less, within
-        the bracket of what does not help, until a step gains most of what is promised.
+        curved valley by orders of magnitude. More is tried until a step helps, then less, down to
+        what does not gain more, until a step gains most of what is promised.
         """
-        best, least = None, 0.0   # least: the largest damping that is too small
+        best, least = None, 0.0   # least: the largest damping that gains less than the best
         tried = 0
         while tried < tries:
             tried += 1

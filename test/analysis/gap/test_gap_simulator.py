@@ -300,6 +300,8 @@ def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():
     goal = fit.best.cost + 1.0
     assert problem.cost(start) > goal
     assert most_probable(problem, start, known=wrong, goal=goal).cost < goal
+    beside = problem.cost(start)   # nor for a fit without an effect that costs as much
+    assert most_probable(problem, start, known=wrong, without=beside).cost < goal
 
 
 @pytest.mark.slow

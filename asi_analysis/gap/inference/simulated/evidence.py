@@ -70,7 +70,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
 
     def left(each: Found) -> Array:
         """Return the mean square residual; one below that of `simplest` is no evidence."""
-        enough = None if simplest is None else found.get(_with_steps_of(each, simplest))
+        enough = simplest and found.get(_with_steps_of(each, simplest), simplest)
         low = equal if enough is None or len(each.names) <= len(enough.names) else (
             np.maximum(equal, mean_squares(enough.problem, enough.best.residual)))
         return np.maximum(mean_squares(each.problem, each.best.residual), low)

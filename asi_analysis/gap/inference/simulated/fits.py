@@ -62,11 +62,11 @@ def with_usual_parameters(found: Found) -> Found:
     """
     Return a hypothesis with nominal parameters as probable as usual, so that more is left.
 
-    The data get less and less weight. Where improbable parameters hide an effect, it shows there,
-    and the residual is smaller than with the nominal values.
+    The data get less and less weight, down to LEAST_SHARE. Where improbable parameters hide an
+    effect, it shows there, and the residual is smaller than with the nominal values.
     """
     share = 1.0
-    while found.improbable and share > LEAST_SHARE:
+    while found.improbable and share * LIGHTER > LEAST_SHARE:
         share *= LIGHTER
         found = found.lighter(share, LIGHT_ROUNDS)
     return found

@@ -208,7 +208,8 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
 
 def _beside(found: Found) -> Found:
     """Return where the search for one more effect starts, beside improbable parameters."""
-    return with_usual_parameters(found) if found.improbable else found.at_nominal
+    usual = with_usual_parameters(found)
+    return found.at_nominal if usual is found or usual.improbable else usual
 
 
 def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
@@ -249,7 +250,7 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
     """
     pairs = _with_second(first, tick, alone)
     best = min(pairs.values(), key=lambda each: each.best.cost)
-    if best.far or not pairs[first.names].may_lack_an_effect:
+    if best.names == first.names or best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
     return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
                                         alone))
@@ -394,7 +395,9 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
             field: column for field, column in near.items() if field not in of_effect},
             without=null.best.cost) for start, near in starts), key=lambda best: best.cost)
         found = form._replace(best=best)
-        return converged(found, goal) if _may_count(found, null) else found
+        # With a sub-step of its own, the cost of a fit is not yet known.
+        own_substep = any(name == 'maximum_substep' for name, _ in form.problem.fixed)
+        return converged(found, goal) if own_substep or _may_count(found, null) else found
 
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
