@@ -182,7 +182,7 @@ class Best(NamedTuple):
     cost: float
     residual: Array
     slopes: Slopes | None = None   # the Jacobian there, or near
-    fresh: bool = False            # whether it was computed there, or a step before
+    fresh: bool = False            # whether it was computed in this fit, perhaps updated since
 
 
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
@@ -218,7 +218,7 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             return Best(at.theta, at.cost if math.isfinite(at.cost) else math.inf, at.residual)
         least = at.cost - GAIN_MARGIN * linear.most
         if since == at.cost and (fresh or known) and least > goal:   # a Jacobian just computed
-            return at.best(slopes, fresh and size == STEP)
+            return at.best(slopes, computed)
         before, (there, damping, tried) = at.cost, linear.step(damping, TRIES if fresh else 1)
         if there is not None:
             slopes, at = linear.updated(there), there
@@ -230,17 +230,17 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             fresh = False
             continue
         if not computed and abs(at.cost - without) < SLIGHT and least > without - SLIGHT:
-            return at.best(slopes, False)
+            return at.best(slopes, computed)
         rounds -= 1
         if ends and linear.most > ROUGH * enough and size == STEP:
-            ends, size, damping = False, WIDE_STEP, DAMPING
+            ends, size = False, WIDE_STEP
         if ends and rounds > 0:
             scanned = min((_Point.of(problem, theta) for theta in _scanned_memories(
                 problem, at.theta)), default=at, key=lambda point: point.cost)
             if at.cost - scanned.cost > GAIN + converged * at.cost:
-                at, ends, fresh = scanned, False, False
+                at, ends = scanned, False
         if rounds < 1 or ends or (computed and at.cost - rounds * (since - at.cost) > goal):
-            return at.best(slopes, fresh and size == STEP)
+            return at.best(slopes, computed)
         slopes = problem.jacobian(at.theta, base=at.residual, size=size)
         since, steps, computed, fresh = at.cost, at.theta.size / RUNS, True, True
 

@@ -209,7 +209,7 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
 def _beside(found: Found) -> Found:
     """Return where the search for one more effect starts, beside improbable parameters."""
     usual = with_usual_parameters(found)
-    return found.at_nominal if usual is found or usual.improbable else usual
+    return found.at_nominal if usual is found else usual
 
 
 def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
