@@ -143,9 +143,21 @@ def _files(path: Path, problems: list[str]) -> list[Path]:
 
 
 def is_empty(path: Path) -> bool:
-    """Return whether the metadata.yaml of a bag says that it has no message."""
+    """
+    Return whether a bag has no message, by its metadata.yaml and its files.
+
+    A recorder that was ended while it wrote has not counted its messages.
+    """
     with suppress(OSError, *BROKEN):
-        return bool(_described(path)['message_count'] == 0)
+        return bool(_described(path)['message_count'] == 0) and not any(
+            map(_holds_a_message, path.glob('*.mcap')))
+    return False
+
+
+def _holds_a_message(file: Path) -> bool:
+    """Return whether there is a message in an MCAP file, which may be cut off."""
+    with file.open('rb') as data, suppress(*BROKEN):
+        return any(isinstance(record, Message) for record in StreamReader(data).records)
     return False
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow
 import pytest
+import yaml
 import zstandard
 from conftest import PATIENCE_S, wait_until
 from mcap.records import Chunk
@@ -452,3 +453,18 @@ def test_ctrl_c_ends_the_reading_of_a_large_file(tmp_path: Path) -> None:
 def test_what_a_library_says_in_several_lines_is_told_in_one():
     error = pickle.loads(pickle.dumps(InputError('bag.db3: near\n    "TEXT": syntax error')))
     assert str(error) == 'bag.db3: near "TEXT": syntax error'
+
+
+def test_a_bag_whose_recorder_was_ended_while_it_wrote_is_not_empty(tmp_path: Path) -> None:
+    """Its metadata.yaml still counts no message."""
+    bag = tmp_path / 'bag'
+    write_bag(a_run(20000), bag)
+    described = yaml.safe_load((bag / 'metadata.yaml').read_text())
+    described['rosbag2_bagfile_information']['message_count'] = 0
+    (bag / 'metadata.yaml').write_text(yaml.safe_dump(described))
+    file = next(bag.glob('*.mcap'))
+    whole = file.read_bytes()
+    file.write_bytes(whole[:len(whole) // 2])
+    assert not bag_file.is_empty(bag)
+    file.write_bytes(whole[:60])
+    assert bag_file.is_empty(bag)
