@@ -185,6 +185,21 @@ static inline double deflected(double deflection, const struct parameters *p)
     return clamp(off, -stop, stop);
 }
 
+static inline double saturation(double x, double tail, double *slope)
+{
+    double bounded = fast_tanh(x);
+    *slope = 1.0 - bounded * bounded;
+    if (tail > 0.0) {
+        double root = 1.0 / sqrt(1.0 + x * x);
+        bounded += tail * (x * root - bounded);
+        *slope += tail * (root * root * root - *slope);
+    } else if (tail < 0.0) {
+        bounded -= tail * (erf(0.5 * sqrt(M_PI) * x) - bounded);
+        *slope -= tail * (exp(-0.25 * M_PI * x * x) - *slope);
+    }
+    return bounded;
+}
+
 struct curve { double magnitude, extending, retracting, width, at_rest, size; };
 
 static inline struct curve damping_curve(double opening, const struct parameters *p)
@@ -196,7 +211,9 @@ static inline struct curve damping_curve(double opening, const struct parameters
     struct curve c = {.extending = centre + shift, .retracting = centre - shift, .size = size};
     c.width = p->hydraulic_damping_velocity_width * (1.0 + p->hydraulic_damping_width_growth * size);
     c.magnitude = 0.5 * p->hydraulic_damping_maximum_force * (share + (1.0 - share) * size);
-    c.at_rest = fast_tanh(c.retracting / c.width) - fast_tanh(c.extending / c.width);
+    double unused, tail = p->hydraulic_damping_tail;
+    c.at_rest = saturation(c.retracting / c.width, tail, &unused)
+        - saturation(c.extending / c.width, tail, &unused);
     return c;
 }
 
@@ -211,12 +228,13 @@ static inline double tangents_force(double velocity, struct curve c, const struc
     *slope = 0.0;
     if (p->hydraulic_damping_model != FULL || bound == 0.0)
         return 0.0;
-    double out = fast_tanh((velocity - c.extending) / c.width);
-    double back = fast_tanh((velocity + c.retracting) / c.width);
+    double out_slope, back_slope, bounded_slope, tail = p->hydraulic_damping_tail;
+    double out = saturation((velocity - c.extending) / c.width, tail, &out_slope);
+    double back = saturation((velocity + c.retracting) / c.width, tail, &back_slope);
     double force = c.magnitude * (out + back - c.at_rest) + p->hydraulic_damping_viscous * velocity;
-    double bounded = fast_tanh(force / bound);
-    *slope = (c.magnitude / c.width * (2.0 - out * out - back * back)
-              + p->hydraulic_damping_viscous) * (1.0 - bounded * bounded);
+    double bounded = saturation(force / bound, tail, &bounded_slope);
+    *slope = (c.magnitude / c.width * (out_slope + back_slope)
+              + p->hydraulic_damping_viscous) * bounded_slope;
     return bound * bounded;
 }
 

@@ -2,9 +2,9 @@
 Hydraulic damping: oil forced through the valve's orifices (paper, section 2.2, Fig. 3).
 
 A family of hyperbolic tangents in the velocity whose magnitude, scale and position depend on the
-valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N. Null by default,
-and beyond that bound: a part with the square of the velocity, and a viscous one that grows with
-the opening.
+valve opening, as the paper fitted them, plus a viscous part, bounded by 1200 N. Null by default:
+another function in place of the tangents, and beyond that bound a part with the square of the
+velocity, and a viscous one that grows with the opening.
 """
 
 import math
@@ -16,6 +16,25 @@ from asi_common.jit import FULL, LINEAR, jit
 def tanh(x):
     """Return the hyperbolic tangent to 2e-16: by one exp, at half the time of math.tanh."""
     return 1.0 - 2.0 / (math.exp(2.0 * x) + 1.0)
+
+
+@jit
+def saturation(x, tail):
+    """
+    Return a function that saturates at -1 and 1, of slope 1 at 0, and its slope.
+
+    tail: how slowly; -1: error function, 0: hyperbolic tangent, 1: x / sqrt(1 + x^2).
+    """
+    bounded = tanh(x)
+    slope = 1.0 - bounded * bounded
+    if tail > 0.0:
+        root = 1.0 / math.sqrt(1.0 + x * x)
+        bounded += tail * (x * root - bounded)
+        slope += tail * (root * root * root - slope)
+    elif tail < 0.0:
+        bounded -= tail * (math.erf(0.5 * math.sqrt(math.pi) * x) - bounded)
+        slope -= tail * (math.exp(-0.25 * math.pi * x * x) - slope)
+    return bounded, slope
 
 
 @jit
@@ -34,7 +53,8 @@ def damping_curve(opening, p):
     width = p.hydraulic_damping_velocity_width * (1.0 + p.hydraulic_damping_width_growth * size)
     share = p.hydraulic_damping_centre_share
     magnitude = 0.5 * p.hydraulic_damping_maximum_force * (share + (1.0 - share) * size)
-    at_rest = tanh(retracting / width) - tanh(extending / width)
+    tail = p.hydraulic_damping_tail
+    at_rest = saturation(retracting / width, tail)[0] - saturation(extending / width, tail)[0]
     return magnitude, extending, retracting, width, at_rest, size
 
 
@@ -47,13 +67,13 @@ def tangents_force(velocity, curve, p):
     if p.hydraulic_damping_model != FULL or bound == 0.0:
         return 0.0, 0.0
     magnitude, extending, retracting, width, at_rest, _ = curve
-    out = tanh((velocity - extending) / width)
-    back = tanh((velocity + retracting) / width)
+    tail = p.hydraulic_damping_tail
+    out, out_slope = saturation((velocity - extending) / width, tail)
+    back, back_slope = saturation((velocity + retracting) / width, tail)
     force = magnitude * (out + back - at_rest) + p.hydraulic_damping_viscous * velocity
-    slope = (magnitude / width * (2.0 - out * out - back * back)
-             + p.hydraulic_damping_viscous)
-    bounded = tanh(force / bound)
-    return bound * bounded, slope * (1.0 - bounded * bounded)
+    slope = magnitude / width * (out_slope + back_slope) + p.hydraulic_damping_viscous
+    bounded, bounded_slope = saturation(force / bound, tail)
+    return bound * bounded, slope * bounded_slope
 
 
 @jit

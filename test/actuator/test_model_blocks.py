@@ -15,7 +15,12 @@ from study import STUDY
 from asi_actuator.model.actuator import measure, rest, simulate, step
 from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.friction import friction, sliding_friction
-from asi_actuator.model.hydraulic_damping import damping_curve, damping_force, tanh
+from asi_actuator.model.hydraulic_damping import (
+    damping_curve,
+    damping_force,
+    saturation,
+    tanh,
+)
 from asi_actuator.model.valve_characteristic import valve_characteristic, valve_position
 from asi_actuator.model.valve_hysteresis import half_width, magnetise, rate_decay
 from asi_actuator.parameters import as_record as record_of
@@ -455,6 +460,20 @@ def test_linear_block_is_its_gain_and_a_block_that_is_off_passes(block: str) -> 
     np.testing.assert_allclose(force({}, command), expected)
     linear_ = {f'{block}.model': 'linear', f'{block}.linear_gain': 0.7}
     np.testing.assert_allclose(force(linear_, command), 0.7 * expected)
+
+
+@pytest.mark.parametrize(('tail', 'expected'), [
+    (-1.0, lambda x: math.erf(0.5 * math.sqrt(math.pi) * x)), (0.0, math.tanh),
+    (1.0, lambda x: x / math.hypot(1.0, x)), (-0.3, None), (0.6, None)])
+def test_damping_saturates_as_several_books_have_it(tail, expected):
+    """Always monotonically, at -1 and 1, with slope 1 at 0."""
+    x = np.linspace(-6.0, 6.0, 2401)
+    values, slopes = np.array([saturation(each, tail) for each in x]).T
+    assert np.abs(values).max() < 1.0 + 1e-12 and slopes.min() >= 0.0
+    assert saturation(0.0, tail) == (0.0, 1.0)
+    assert np.allclose(np.gradient(values, x)[1:-1], slopes[1:-1], atol=1e-4)
+    if expected:
+        assert values == pytest.approx([expected(each) for each in x], abs=1e-14)
 
 
 @pytest.mark.parametrize('block', ['hydraulic_damping', 'friction'])
