@@ -217,15 +217,17 @@ UNCERTAIN = {
               'friction_stribeck_velocity', 'friction_presliding_stiffness',
               'force_sensor_natural_frequency', 'force_sensor_delay',
               'load_mass', 'load_stiffness', 'load_damping', 'load_locked_stiffness',
-              'load_locked_damping', 'force_sensor_mass_share'),
+              'load_locked_damping', 'force_sensor_gain', 'force_sensor_mass_share'),
 }
 # Shape parameters of the nominal laws, by channel: free in every fit, since textbooks formulate
-# these laws differently. Of the hysteresis: how round the corners of its loop are. Of friction:
+# these laws differently. Of the hysteresis: how round the corners of its loop are. Of damping: how
+# slowly it saturates with the velocity. Of friction:
 # how sliding begins (from Dupont's elasto-plastic bristle to Dahl's and LuGre's), the damping of
 # the pre-sliding displacement, and the Stribeck velocity.
 SHAPES = {
     'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),),
-    'force': (Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
+    'force': (Free('hydraulic_damping_tail', -1.0, 1.0, (0.0,)),
+              Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),
 }

@@ -204,6 +204,37 @@ def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict)
     assert answer['verdict'] == verdict and answer['probability'] > 0.6
 
 
+def null_behind_valve(run, nominal):
+    """Return the fit of the nominal model to what follows the valve."""
+    recordings, p = prepared([run]), simulator.simulator_record(nominal)
+    valve = search.null_fit(simulator_group(p, recordings, ('valve',)))
+    return search.null_fit(with_simulated_valve(
+        simulator_group(p, recordings, CHANNELS), valve.as_fitted.record))
+
+
+def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
+    """Both within what is not known of a machine: its parameters stay as probable as they are."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'hydraulic_damping.tail': 0.6, 'force_sensor.gain': 0.87},
+                   duration_s=4.0)
+    null = null_behind_valve(run, nominal)
+    assert not null.may_lack_an_effect and null.prior_cost < 4.0
+    assert null.as_fitted.values['force_sensor_gain'] == pytest.approx(0.87, rel=0.03)
+
+
+def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
+    """Although errors of nominal parameters could imitate it nearly as well."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'hydraulic_damping.saturation_velocity': 0.05}, noise=0.0)
+    null = null_behind_valve(run, nominal)
+    found = search.changed_alone(null, lambda: None)
+    assert 'hydraulic_damping' in {each.names[0] for each in found}
+    best = min(found, key=lambda each: each.best.cost)
+    assert best.prior_cost == 0.0
+    assert best.as_fitted.values['hydraulic_damping_saturation_velocity'] == pytest.approx(
+        0.05, rel=1e-3)
+
+
 def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
     run = recorded({'load.type': 'spring'}, duration_s=3.0)
     recording = prepared([run])[0]

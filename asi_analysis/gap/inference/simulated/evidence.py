@@ -19,11 +19,11 @@ from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import (
     ODDS_AGAINST,
-    Found,
     mean_squares,
     power,
 )
 from asi_analysis.gap.inference.probability import Names, log_odds_against
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group
 from asi_common.record import field_name

@@ -9,7 +9,6 @@ from asi_analysis.gap.inference.beyond_tolerance import with_parameters_named
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import (
     Best,
-    Found,
     Posterior,
     mean_squares,
     most_probable,
@@ -23,6 +22,7 @@ from asi_analysis.gap.inference.probability import (
 )
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.predict import measured
 
@@ -95,12 +95,17 @@ def _model_share(found: Found) -> float:
 
 
 def _follows_signals(null: Found) -> bool:
-    """Return whether the nominal model, refitted, explains enough of the power of each signal."""
+    """
+    Return whether the nominal model, refitted, explains enough of the power of each signal.
+
+    What noise explains does not count: the force of a free load may be hardly more than that.
+    """
     group = null.problem.group
     power = np.array([np.mean(np.concatenate(
         [measured(r, channel)[r.known] for r in group.recordings]) ** 2)
         / group.error_floor[channel] for channel in group.channels])
-    return bool(np.all(mean_squares(null.problem, null.best.residual) < FOLLOWED_SHARE * power))
+    left = mean_squares(null.problem, null.best.residual) - null.explained
+    return bool(np.all(left < FOLLOWED_SHARE * power))
 
 
 def most_probable_of(weighed: Weighed) -> Candidate:

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.inference.posterior import Found, Posterior, most_probable
+from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.group import recorrected
 from asi_analysis.gap.model.simulator import SUBSTEPS_S
 

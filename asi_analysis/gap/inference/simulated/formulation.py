@@ -13,9 +13,10 @@ from asi_analysis.gap.formulation import (
     with_usual_shapes,
 )
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import Found, mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
+from asi_analysis.gap.inference.simulated.found import Found
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the

@@ -14,7 +14,8 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import Found, Posterior
+from asi_analysis.gap.inference.posterior import Posterior
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import channels_of
 

@@ -22,11 +22,11 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
     GAIN,
     GAIN_MARGIN,
+    NONE,
     ODDS_AGAINST,
     ROUNDS,
     SLIGHT,
     Best,
-    Found,
     Posterior,
     mean_squares,
     most_probable,
@@ -47,14 +47,17 @@ from asi_analysis.gap.inference.simulated.formulation import (
     in_best_formulation,
     in_formulation,
 )
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
     Group,
+    Values,
     acts_on,
     with_fitted_start,
+    with_lower_floor,
     with_lower_noise,
     with_simulated_valve,
 )
@@ -139,8 +142,10 @@ def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explaine
     """Return a group, if the simulator explains it."""
     null = with_noise_from_fit({(): null_fit(group)})[()]
     found = _hypotheses(null, tick, alone)
-    if not _only_noise_left(found) and not all(each.far for each in found.values()):
-        # Only the model error of laws formulated in another way explains the rest.
+    if len(found) > 1 and _only_noise_left(found):
+        found = with_noise_from_fit(found, with_lower_floor)
+    if not _only_noise_left(found) and not all(each.leaves_gap for each in found.values()):
+        # The model error of laws formulated in another way explains the rest, or most of it.
         found, alone = in_formulation(found, True), True
     weighed = weighed_of(found, alone)
     if weighed is None:
@@ -165,11 +170,14 @@ def null_fit(group: Group) -> Found:
             null.problem.group, null.problem.record(null.best.theta))))
 
 
-def with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
+def with_noise_from_fit(found: Mapping[Names, Found],
+                        lowered: Callable[[Group, Values], Group] = with_lower_noise
+                        ) -> dict[Names, Found]:
     """
     Return hypotheses with the residual of the best one as the noise, if that is far smaller.
 
-    Oscillations above the band of a velocity or position were counted as noise in it.
+    Oscillations above the band of a velocity or position were counted as noise in it. lowered:
+    how a group is changed by that residual.
     """
     best = min(found.values(), key=lambda each: each.best.cost)
     left = dict(zip(best.problem.group.channels, mean_squares(best.problem, best.best.residual),
@@ -177,7 +185,7 @@ def with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
     def quiet(each: Found) -> Found:
         group = each.problem.group
-        return each.weighed_as(replace(each.problem, group=with_lower_noise(group, {
+        return each.weighed_as(replace(each.problem, group=lowered(group, {
             channel: float(share) * group.error_floor[channel]
             for channel, share in left.items()})))
 
@@ -187,7 +195,7 @@ def with_noise_from_fit(found: Mapping[Names, Found]) -> dict[Names, Found]:
     leader = converged(leader.refined())
     goal = leader.best.cost + COST_RANGE
     return with_noise_from_fit({names: leader if each is best else converged(
-        quiet(each).refined(goal=goal), goal) for names, each in found.items()})
+        quiet(each).refined(goal=goal), goal) for names, each in found.items()}, lowered)
 
 
 def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
@@ -198,12 +206,44 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[N
     """
     null.problem.group.scale.update(initial_guesses(null.as_fitted))
     singles: dict[Names, Found] = {}
-    if not null.unexplained:
-        singles = _extended(null, null, tick, alone)
-    # Errors of nominal parameters hide an effect: then the screen starts from usual ones.
-    if null.unexplained or null.prior_cost > ODDS_AGAINST:
-        singles = _best_of(singles, _extended(_beside(null), null, tick, alone))
+    hidden = null.unexplained or null.prior_cost > ODDS_AGAINST
+    if hidden and (only := changed_alone(null, tick)):
+        singles = _around(only, null.at_nominal, null, tick, alone)
+    else:
+        if not null.unexplained:
+            singles = _extended(null, null, tick, alone)
+        # Errors of nominal parameters hide an effect: then the screen starts from usual ones.
+        if hidden:
+            singles = _best_of(singles, _extended(_beside(null), null, tick, alone))
     return {(): _refitted_from_larger(null, list(singles.values()))} | singles
+
+
+def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
+    """
+    Return the effects that explain the recordings beside the nominal values of all else.
+
+    Nothing can be much more probable: only noise is left, and no nominal parameter is off. Only
+    an effect's own parameters are fitted, so errors of others cannot imitate it.
+    """
+    problem, theta = null.problem, null.problem.nominal
+    values, at = problem.record(theta), null.at(theta)
+    base = at._replace(best=at.best._replace(slopes=None))
+
+    def fitted_alone(start: Start) -> Found:
+        count = len(start.variant.free)
+        own = replace(start.problem, free=start.variant.free, pool=None, fixed=(
+            *start.problem.fixed, *((free.field, float(values[free.field]))
+                                    for free in start.problem.free[:-count])))
+        best = most_probable(own, start.theta[-count:], goal=null.largest_cost)
+        return Found((start.name,), (start.variant,), start.problem, null.best).at(
+            np.append(start.theta[:-count], best.theta))
+
+    found = []
+    for each in problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS)):
+        if not each.unexplained:
+            found.append(each._replace(best=each.best._replace(slopes=None)))
+        tick()
+    return found
 
 
 def _beside(found: Found) -> Found:
@@ -347,7 +387,6 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     screened = screen(base, base is null and not null.unexplained, tick)
     if base is null and screened.most < ODDS_AGAINST:
         return {}
-    fits: dict[Names, Found] = {}
 
     def rough(start: Start) -> Found:
         own = {free.field for free in start.variant.free}
@@ -356,14 +395,29 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         return Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                      start.problem, best._replace(slopes=None))
 
-    forms: dict[Names, list[Found]] = {}
+    forms = []
     for found in problem.in_parallel(rough, screened.best(ROUGH_FITS)):
-        if found.best.cost == math.inf:
-            continue
+        if found.best.cost < math.inf:
+            forms.append(found)
+        tick()
+    return _around(forms, base, null, tick, alone, screened.slopes)
+
+
+def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], None],
+            alone: bool, at_base: Mapping[str, Array] = NONE) -> dict[Names, Found]:
+    """
+    Return the fits of `base` with one more effect, from rough fits of it in several forms.
+
+    The best is fitted first; then the next best, and effects that may take its place. at_base:
+    columns of the Jacobian, by field, from which the rough fits were made; else as `_extended`.
+    """
+    problem = base.problem
+    fits: dict[Names, Found] = {}
+    forms: dict[Names, list[Found]] = {}
+    for found in rough:
         forms.setdefault(found.names, []).append(found)
         if found.names not in fits or found.criterion < fits[found.names].criterion:
             fits[found.names] = found
-        tick()
     if not fits:
         return {}
     ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
@@ -373,7 +427,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     fields, own = freed_fields(leader)
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
-    at_leader, at_base = columns_of(leader.problem, leader.slopes), screened.slopes
+    at_leader: Mapping[str, Array] = columns_of(leader.problem, leader.slopes)
     goal = goal_beside(leader)
     if leader.far and not alone:
         goal = min(goal, leader.largest_cost)

@@ -1,0 +1,163 @@
+"""A fitted hypothesis: what it leaves, and how probable its nominal parameters are."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.posterior import (
+    ODDS_AGAINST,
+    ROUNDS,
+    Best,
+    Posterior,
+    fitted,
+    mean_squares,
+    most_probable,
+    power,
+)
+from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.model.effects import Variant
+
+# A right hypothesis may leave a mean square of MARGIN error floors, and of the uncertainty of the
+# noise variance: it is estimated from fourth differences, and three standard errors of it are
+# about NOISE_ERROR over the square root of the number of samples.
+MARGIN, NOISE_ERROR = 1.1, 10.0
+GAP = 4.0   # power, over what noise and model error explain, that is surely neither of them
+
+
+class Found(NamedTuple):
+    """A fitted hypothesis: its effects, their forms, its posterior and the maximum of that."""
+
+    names: Names
+    variants: tuple[Variant, ...]
+    problem: Posterior
+    best: Best
+
+    @property
+    def slopes(self) -> Array:
+        """Return the Jacobian at the most probable parameters."""
+        problem, best = self.problem, self.best
+        return (best.slopes.astype(float) if best.slopes is not None and best.fresh
+                else problem.jacobian(best.theta, base=best.residual))
+
+    def at(self, theta: Array) -> 'Found':
+        """Return the hypothesis at other parameters."""
+        residual = self.problem.residual(theta)
+        return self._replace(best=Best(theta, self.problem.cost(theta, residual), residual,
+                                       self.best.slopes))
+
+    def weighed_as(self, problem: Posterior) -> 'Found':
+        """Return the hypothesis in a problem that only weighs the channels otherwise."""
+        slopes, moved = self.best.slopes, self._replace(problem=problem).at(self.best.theta)
+        if slopes is not None:
+            of_channels, others = problem.split(slopes)
+            ratio = (problem.weights() / self.problem.weights()).astype(slopes.dtype)
+            slopes = np.concatenate([(ratio[:, None, None] * of_channels).reshape(
+                -1, slopes.shape[1]), others])
+        return moved._replace(best=moved.best._replace(slopes=slopes, fresh=self.best.fresh))
+
+    def refined(self, rounds: int = ROUNDS, goal: float = math.inf) -> 'Found':
+        """Return the hypothesis with its fit continued, as `most_probable` does."""
+        return self._replace(best=most_probable(self.problem, self.best.theta, rounds, goal=goal,
+                                                near=self.best))
+
+    def lighter(self, share: float, rounds: int = ROUNDS) -> 'Found':
+        """Return the hypothesis, refitted with this share of the weight of its data."""
+        group = self.problem.group
+        weight = {channel: share * value for channel, value in group.weight.items()}
+        light = replace(self.problem, group=replace(group, weight=weight))
+        return self.weighed_as(light).refined(rounds).weighed_as(self.problem)
+
+    @property
+    def relative_residual(self) -> Array:
+        """Return the mean square residual of each channel over the highest that noise explains."""
+        return mean_squares(self.problem, self.best.residual) / self.explained
+
+    @property
+    def explained(self) -> float:
+        """Return the highest mean square residual that noise explains, in error floors."""
+        samples = self.best.residual.size / len(self.problem.group.channels)
+        return MARGIN + NOISE_ERROR / math.sqrt(samples)
+
+    @property
+    def criterion(self) -> float:
+        """
+        Return half of the Bayesian information criterion, by which forms of an effect compare.
+
+        A form with more parameters costs less, but may be less probable.
+        """
+        count = sum(len(variant.free) for variant in self.variants)
+        return self.best.cost + 0.5 * count * math.log(self.best.residual.size)
+
+    @property
+    def largest_cost(self) -> float:
+        """Return the highest cost of a residual that noise and any model error explain."""
+        rows, _ = self.problem.split(self.best.residual)
+        return 0.5 * self.explained * float(
+            power(self.problem.group) @ self._any_formulation) * rows.shape[1]
+
+    @property
+    def noise_cost(self) -> float:
+        """Return the cost of a residual that is as large as the error floor."""
+        rows, _ = self.problem.split(self.best.residual)
+        return 0.5 * float(power(self.problem.group).sum()) * rows.shape[1]
+
+    @property
+    def _any_formulation(self) -> Array:
+        """Return the error floor of laws formulated in another way, over that in use."""
+        group = self.problem.group
+        if group.other_formulation or group.floor_measured:
+            return np.ones(len(group.channels))
+        return np.array([1.0 + group.other_error[channel] / group.error_floor[channel]
+                         for channel in group.channels])
+
+    @property
+    def far(self) -> bool:
+        """Return whether it leaves more than noise and the model error of other formulations."""
+        return self._times_explained > 1.0
+
+    @property
+    def leaves_gap(self) -> bool:
+        """Return whether it leaves so much more that no model error can be the reason."""
+        return self._times_explained > GAP
+
+    @property
+    def _times_explained(self) -> float:
+        """Return the power left, over what noise and model error of other formulations explain."""
+        return float((self.relative_residual / self._any_formulation).max())
+
+    @property
+    def unexplained(self) -> bool:
+        """Return whether the residual of a channel is more than noise and model error explain."""
+        return bool(self.relative_residual.max() > 1.0)
+
+    @property
+    def prior_cost(self) -> float:
+        """Return the negative log prior density of the nominal parameters, up to a constant."""
+        return self.problem.prior_cost(self.best.theta)
+
+    @property
+    def improbable(self) -> bool:
+        """Return whether the nominal parameters are far less probable than they usually are."""
+        usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
+        return bool(self.prior_cost > ODDS_AGAINST + usual)
+
+    @property
+    def may_lack_an_effect(self) -> bool:
+        """Return whether a residual, or improbable nominal parameters, are left to explain."""
+        return self.unexplained or self.improbable
+
+    @property
+    def as_fitted(self) -> Fitted:
+        """Return the hypothesis as a `Fitted`, which the rest of the diagnosis uses."""
+        return fitted(self.problem, self.best)
+
+    @property
+    def at_nominal(self) -> 'Found':
+        """Return the hypothesis with the fitted effects, but the nominal parameter values."""
+        _, precision = self.problem.prior
+        theta = np.where(precision > 0.0, self.problem.nominal, self.best.theta)
+        return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))
