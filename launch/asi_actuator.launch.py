@@ -40,11 +40,14 @@ PARAMETERS = {
 }
 OTHERS = (
     ('namespace', '', 'namespace of all nodes'),
-    ('log_level', 'info', 'debug, info, warn, error or fatal, of all nodes'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal, of all nodes; debug leaves out '
+     'the lines of rcl, which writes some for each message'),
     ('params_file', '', 'parameter files for all nodes, separated by commas; the last one wins; '
      'a name that is no file here is that of one in config'),
     ('rviz', 'false', 'true: show the actuator in RViz'),
 )
+# rcl writes several lines for each message; behind them a Ctrl-C of launch took 5 s.
+QUIET_RCL = {'debug': ['--log-level', 'rcl:=info']}
 # Frames of the actuator per second of simulated time, for a smooth picture also in slow lock-step.
 FRAMES_HZ = 100.0
 # Time for the recorder to finish its bag after Ctrl-C, s, before SIGTERM, and then SIGKILL.
@@ -69,9 +72,10 @@ def _started(context: Any) -> list[Any]:
     def node(executable: str, **options: Any) -> Node:
         return Node(package='asi_actuator', executable=executable, namespace=given['namespace'],
                     parameters=values[executable], remappings=[('/clock', 'clock')],
-                    ros_arguments=['--log-level', given['log_level']], **options)
+                    ros_arguments=['--log-level', given['log_level'],
+                                   *QUIET_RCL.get(given['log_level'].lower(), [])], **options)
 
-    nodes = [node('actuator', on_exit=Shutdown(reason='the run has ended')),
+    nodes = [node('actuator', on_exit=_run_ended),
              node('controller', on_exit=_ended)]
     if given['record']:
         nodes.append(node('recorder', on_exit=_ended, sigterm_timeout=FINISH_S,
@@ -121,11 +125,22 @@ def _config() -> Path:
     return Path(get_package_share_directory('asi_actuator')) / 'config'
 
 
+def _run_ended(event: Any, context: Any) -> list[Any]:
+    """Shut down at the end of the run. Raises RuntimeError if it has failed."""
+    if event.returncode and not context.is_shutdown:
+        raise RuntimeError(f'the actuator has ended with exit status {event.returncode}')
+    return [Shutdown(reason='the run has ended')]
+
+
 def _ended(event: Any, context: Any) -> list[Any]:
-    """Shut down if a node could not start, because the others would wait for it."""
-    if event.returncode != 2:
-        return []
-    return [Shutdown(reason=f'the {event.action.node_executable} could not start')]
+    """
+    Raise RuntimeError if a node could not start: the others would wait for it.
+
+    launch then ends them all, with exit status 1; after a Shutdown its own would be 0.
+    """
+    if event.returncode == 2 and not context.is_shutdown:
+        raise RuntimeError(f'the {event.action.node_executable} could not start')
+    return []
 
 
 def _scene(given: dict[str, str]) -> list[Any]:

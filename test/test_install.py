@@ -207,6 +207,17 @@ def test_ctrl_c_of_launch_ends_all_and_the_bag_is_whole(start: Callable, tmp_pat
 
 
 @needs_ros2
+@pytest.mark.parametrize(('limit_n', 'status'), [(1e4, 0), (1.0, 1)])
+def test_launch_ends_with_the_run_and_says_if_that_ended_in_a_fault(
+        limit_n: float, status: int, start: Callable, tmp_path: Path) -> None:
+    (tmp_path / 'limit.yaml').write_text(yaml.safe_dump(
+        {'/**/asi_actuator': {'ros__parameters': {'limit.force': limit_n}}}))
+    launched = start(*LAUNCH, 'params_file:=limit.yaml', 'reference:=step', 'duration:=0.2')
+    assert launched.exit_status() == status, launched.text
+    assert ('ended in a fault' in launched.text) == (status == 1)
+
+
+@needs_ros2
 @pytest.mark.parametrize(('argument', 'told'), [
     ('gain:=eight', 'gain:=eight is not allowed: it takes a number'),
     ('params_file:=missing.yaml', 'there is no such file'),
@@ -214,7 +225,7 @@ def test_ctrl_c_of_launch_ends_all_and_the_bag_is_whole(start: Callable, tmp_pat
 def test_launch_ends_all_if_an_argument_is_wrong(
         argument: str, told: str, start: Callable) -> None:
     launched = start(*LAUNCH, argument)
-    launched.exit_status()
+    assert launched.exit_status() == 1, launched.text
     assert told in launched.text and 'Traceback' not in launched.text, launched.text
     with pytest.raises(ProcessLookupError):   # nothing is left of its session
         os.killpg(launched.pid, 0)

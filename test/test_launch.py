@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -130,19 +131,35 @@ def test_an_argument_is_set_after_the_files_where_it_belongs(evaluated: Evaluate
     assert launched['recorder'].parameters == [*files, {'output': 'bag', 'use_sim_time': True}]
     for name in MODULES:
         assert launched[name].namespace == 'left'
-        assert launched[name].ros_arguments == ['--log-level', 'debug']
+        assert launched[name].ros_arguments[:2] == ['--log-level', 'debug']
 
 
-def test_a_node_that_cannot_start_ends_all_but_one_that_fails_later_does_not(
-        evaluated: Evaluated) -> None:
-    launched = evaluated(record='bag')
-    for name in ('recorder', 'controller'):
-        def ended(status: int, name: str = name) -> list[Any]:
-            actions: list[Any] = launched[name].on_exit(SimpleNamespace(
-                returncode=status, action=SimpleNamespace(node_executable=name)), None)
-            return actions
-        assert [action.reason for action in ended(2)] == [f'the {name} could not start']
-        assert ended(1) == ended(0) == []
+@pytest.mark.parametrize(('name', 'status', 'why'), [
+    ('recorder', 2, 'the recorder could not start'), ('recorder', 1, ''), ('controller', 1, ''),
+    ('controller', 2, 'the controller could not start'), ('actuator', 0, ''),
+    ('actuator', 1, 'the actuator has ended with exit status 1')])
+def test_a_node_that_cannot_start_and_a_run_that_fails_end_all_with_an_error(
+        name: str, status: int, why: str, evaluated: Evaluated) -> None:
+    def ended(is_shutdown: bool) -> list[Any]:
+        event = SimpleNamespace(returncode=status, action=SimpleNamespace(node_executable=name))
+        actions: list[Any] = evaluated(record='bag')[name].on_exit(
+            event, SimpleNamespace(is_shutdown=is_shutdown))
+        return [action.reason for action in actions]
+
+    expected = ['the run has ended'] * (name == 'actuator')
+    with pytest.raises(RuntimeError, match=why) if why else nullcontext():
+        assert ended(is_shutdown=False) == expected
+    assert ended(is_shutdown=True) == expected   # after Ctrl-C nothing is an error
+
+
+def test_debug_lines_are_those_of_the_nodes_not_one_for_each_message(
+        evaluated: Evaluated, start_launched: Callable[[Any], NodeProcess]) -> None:
+    launched = evaluated(log_level='debug', duration='0.05', reference='step')
+    controller, actuator = (start_launched(launched[name]) for name in ('controller', 'actuator'))
+    assert actuator.exit_status() == 0, actuator.text
+    assert controller.stop() == 0
+    for node in (actuator, controller):
+        assert '[DEBUG]' in node.text and '[rcl]' not in node.text
 
 
 @pytest.mark.parametrize(('name', 'value'), [
