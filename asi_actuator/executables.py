@@ -6,8 +6,9 @@ from asi_common.signals import end_quietly
 def actuator() -> None:
     """Run the node `asi_actuator`; end with its exit status."""
     end_quietly()
+    from asi_common.executable import end_at_once, warn_in_log
+    warn_in_log()
     from asi_actuator.actuator_node import main
-    from asi_common.executable import end_at_once
     end_at_once(main())
 
 

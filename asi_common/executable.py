@@ -1,12 +1,26 @@
-"""How a process ends: at once while it compiles, and without unloading libraries."""
+"""How a process warns, and ends: at once while it compiles, without unloading libraries."""
 
 import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from typing import NoReturn
+
+
+def warn_in_log() -> None:
+    """
+    Have Python's warnings be log lines, as all else that a node says.
+
+    rclpy warns, with a place in its own source, if who asked is gone before the answer.
+    """
+    def log(message: Warning | str, *_: object, **__: object) -> None:
+        from rclpy.logging import get_logger
+        get_logger('asi').warning(' '.join(str(message).split()))
+
+    warnings.showwarning = log
 
 
 def end_at_once(status: int) -> NoReturn:

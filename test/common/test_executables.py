@@ -318,6 +318,18 @@ def test_a_node_says_which_arguments_it_takes(module, function, argument, status
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize('name', ['actuator', 'controller'])
+def test_a_warning_of_python_is_a_log_line_of_the_node(name, tmp_path):
+    module, function = next(row[1:] for row in EXECUTABLES if row[0] == name)
+    # No place for compiled code but the temporary directory, of which there is a warning.
+    places = dict.fromkeys(('HOME', 'NUMBA_CACHE_DIR', 'XDG_CACHE_HOME'), '/proc')
+    said = subprocess.run(
+        [sys.executable, '-c', f'from {module} import {function}; {function}()', '--help'],
+        env={**os.environ, **places, 'PYTHONPATH': str(ROOT)}, cwd=tmp_path, text=True,
+        capture_output=True).stderr
+    assert re.fullmatch(r'\[WARN\] \[[\d.]+\] \[asi\]: compiled code .*\n', said), said
+
+
 def test_every_executable_is_tried():
     assert {name for name, *_ in EXECUTABLES} == {
         'actuator', 'can_actuator', 'controller', 'recorder', 'replay'}

@@ -6,14 +6,16 @@ from asi_common.signals import end_quietly
 def recorder() -> None:
     """Run the node `asi_recorder`; end with its exit status."""
     end_quietly()
+    from asi_common.executable import end_at_once, warn_in_log
+    warn_in_log()
     from asi_analysis.bags.nodes.recorder_node import main
-    from asi_common.executable import end_at_once
     end_at_once(main())
 
 
 def replay() -> None:
     """Run the node `asi_replay`; end with its exit status."""
     end_quietly()
+    from asi_common.executable import end_at_once, warn_in_log
+    warn_in_log()
     from asi_analysis.bags.nodes.replay_node import main
-    from asi_common.executable import end_at_once
     end_at_once(main())
