@@ -2,7 +2,7 @@
 
 import math
 import sys
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
@@ -23,6 +23,9 @@ from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
 from asi_common.node.topics import create_publisher, create_subscription
+from asi_common.parameter import ParameterError
+
+Answer = TypeVar('Answer', SetBool.Response, Trigger.Response)
 
 
 class ActuatorNode(Node):
@@ -171,15 +174,20 @@ class ActuatorNode(Node):
         stamp_ns, command_n = wire.force(message)
         self.loop.on_command(stamp_ns, command_n)
 
+    def _refused(self, service: str, answer: Answer, why: str) -> Answer:
+        """Return the answer of a service that is refused, and log the reason."""
+        answer.message = f'refused: {why}'
+        self.get_logger().warning(f'~/{service} refused: {why}')
+        return answer
+
     def _enable(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         if not request.data:
             self.safety.disable()
         elif self.measured is None and self.driver.hardware:
-            answer.message = f'refused: no state of the actuator yet; {self.health.problem}'
-            return answer
+            return self._refused(
+                'enable', answer, f'no state of the actuator yet; {self.health.problem}')
         elif problem := self.safety.enable():
-            answer.message = f'refused: {problem}'
-            return answer
+            return self._refused('enable', answer, problem)
         answer.success, answer.message = True, str(self.safety.state)
         return answer
 
@@ -192,8 +200,7 @@ class ActuatorNode(Node):
         elif self.safety.state is State.ENABLED:
             problem = 'the actuator is enabled, disable it first'
         if problem:
-            answer.message = f'refused: {problem}'
-            return answer
+            return self._refused('calibrate', answer, problem)
         before, now_n = self.calibration.offset_n, self.rest.mean_n()
         self.calibration = self.calibration._replace(offset_n=now_n)
         answer.success = True
@@ -223,10 +230,14 @@ class ActuatorNode(Node):
         return f'load.external_force = {push_n:g} N presses on the piston' if push_n else ''
 
     def _reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        self.driver.reset()
         if not self.driver.hardware:
-            self.calibration = calibration.load(str(self.parameters.values['calibration_file']))
+            try:
+                self.calibration = calibration.load(
+                    str(self.parameters.values['calibration_file']))
+            except ParameterError as error:   # it was changed while the node ran
+                return self._refused('reset', answer, str(error))
             self.rest = Rest(self.rate_hz)
+        self.driver.reset()
         self.safety.reset()
         self.loop.on_reset()
         answer.success, answer.message = True, f'reset: {self.safety.state}'
@@ -235,8 +246,8 @@ class ActuatorNode(Node):
 
     def _pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         if self.driver.hardware:
-            answer.message = 'refused: hardware does not wait; ~/enable false closes the valve'
-            return answer
+            return self._refused(
+                'pause', answer, 'hardware does not wait; ~/enable false closes the valve')
         if request.data != self.paused:
             self.paused = request.data
             self.loop.on_pause()

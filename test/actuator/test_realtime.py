@@ -409,3 +409,18 @@ def test_in_real_time_every_thread_has_the_priority_that_is_permitted(
         assert policies(other) == {(os.SCHED_OTHER, 0)}
         assert other.stop() == 0
     assert 'priority' not in lockstep.text
+
+
+def test_a_reset_that_is_refused_is_logged_and_ends_nothing(
+        start_node: Callable, states: Listener, call: Callable, tmp_path: Path) -> None:
+    from std_srvs.srv import Trigger
+
+    file = tmp_path / 'calibration.yaml'
+    node = start_node(ACTUATOR, mode='realtime', rate_hz=200.0, calibration_file=str(file))
+    states.wait(10)
+    file.write_text('offset_n: much')   # by somebody else, while the node runs
+    answer = call(Trigger, '/asi_actuator/reset', Trigger.Request())
+    assert not answer.success and str(file) in answer.message
+    node.wait_for('~/reset refused: calibration_file')
+    states.wait(50)
+    assert node.stop() == 0 and 'Traceback' not in node.text
