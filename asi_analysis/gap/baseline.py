@@ -179,10 +179,12 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
               and field in (healthy.fitted.record.dtype.names or ())):
             nominal[name] = healthy.fitted.record[field]
     simulated = isinstance(healthy.fitted.problem, Posterior)
-    kept = [free for free in group.nuisance if free.field.partition('@')[0] not in healthy.spread]
+    # Shapes of the laws that have a range of their own, and may be 0, stay free in it.
+    spread = healthy.spread.keys() - {free.field for free in group.shapes if not free.scale}
+    kept = [free for free in group.nuisance if free.field.partition('@')[0] not in spread]
     known = [_free(name, healthy.spread[field], simulated)
              for name in nominal.dtype.names or ()
-             if (field := name.partition('@')[0]) in healthy.spread
+             if (field := name.partition('@')[0]) in spread
              and (field not in NOMINAL_FIELDS or nominal[name] != 0.0)]
     noise, floor, before = {}, {}, healthy.fitted.problem.group
     for channel, level in group.noise.items():

@@ -1,7 +1,7 @@
 """
 What is no effect of its own: a tolerated gain of the force sensor, and a constant force in a gap.
 
-Both are free in a fit only as effects.
+In block-wise fits both are free only as effects.
 """
 
 from scipy.stats import norm
@@ -26,8 +26,8 @@ def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
     Return a group in which `sensor_gain` is a gain beyond its tolerance.
 
     That part of the probability of a hypothesis with this effect that lies within the tolerance,
-    by the interval of the fitted gain, belongs to the hypothesis without it. The gain is free only
-    as an effect, since as one more uncertain parameter it would scale all the others.
+    by the interval of the fitted gain, belongs to the hypothesis without it. In block-wise fits
+    the gain is free only as an effect: as one more uncertain parameter it would scale the others.
     """
     for names, candidate in weighed.candidates.items():
         if GAIN in names and weighed.probability[names] >= LEAST_PROBABILITY:

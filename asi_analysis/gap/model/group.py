@@ -349,13 +349,17 @@ def with_lower_floor(group: Group, residual: Values) -> Group:
     Return a group whose error floor is at most the residual of a model, down to LEAST_ERROR.
 
     residual: mean square by channel. A machine that is the simulator itself, recorded without
-    noise, shows that there is hardly a model error.
+    noise, shows that there is hardly a model error. One of laws formulated in another way has
+    that of these laws, and a baseline has the one that was measured.
     """
-    least = {channel: LEAST_ERROR ** 2 * float(np.mean(np.concatenate(
-        [measured(r, channel)[r.known] for r in group.recordings]) ** 2))
-        for channel in group.channels}
-    floor = {channel: min(level, max(residual[channel], least[channel]))
-             for channel, level in group.error_floor.items()}
+    if group.other_formulation or group.floor_measured:
+        return group
+    floor = {}
+    for channel, level in group.error_floor.items():
+        power = np.mean(np.concatenate([measured(r, channel)[r.known]
+                                        for r in group.recordings]) ** 2)
+        least = max(residual[channel], LEAST_ERROR ** 2 * float(power))
+        floor[channel] = min(level, least) or level   # a signal that is 0 shows nothing
     if all(floor[channel] >= NOISIER ** 2 * level
            for channel, level in group.error_floor.items()):
         return group
@@ -391,6 +395,8 @@ def _is_modelled(name: str, nominal: np.void) -> bool:
     if name.startswith('load_locked') or name in ('load_stiffness', 'load_damping'):
         kind = ('locked', 'spring', 'free', 'prescribed')[int(nominal['load_type'])]
         return kind == ('locked' if name.startswith('load_locked') else 'spring')
+    if name == 'force_sensor_gain':   # of every model of the sensor
+        return True
     block = next((block for block in ('valve_flexure', 'valve_hysteresis', 'hydraulic_damping',
                                       'fluid_dynamics', 'friction', 'force_sensor')
                   if name.startswith(block)), None)

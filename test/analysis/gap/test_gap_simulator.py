@@ -21,6 +21,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.formulation import with_formulation
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Posterior, most_probable
@@ -32,6 +33,7 @@ from asi_analysis.gap.model.group import (
     prepared_for,
     simulator_group,
     with_less_noisy_valve,
+    with_lower_floor,
     with_lower_noise,
     with_simulated_valve,
 )
@@ -233,6 +235,20 @@ def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
     assert best.prior_cost == 0.0
     assert best.as_fitted.values['hydraulic_damping_saturation_velocity'] == pytest.approx(
         0.05, rel=1e-3)
+
+
+def test_other_laws_keep_their_model_error_in_a_quiet_recording():
+    """Their error floor is not what the best hypothesis leaves; else the data were ignored."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_hysteresis.rounding': 1.0, 'valve_flexure.bias': 12.0},
+                   noise=0.02)
+    group = simulator_group(simulator.simulator_record(nominal), prepared([run]), ('valve',))
+    weighed, = explained_by_simulator([group], lambda: None)
+    assert weighed.probability[('valve_bias',)] > 0.9
+    other = with_formulation(group, True)
+    assert with_lower_floor(other, {'valve': 0.0}) is other
+    lower = with_lower_floor(group, {'valve': 1e-6 * group.error_floor['valve']})
+    assert lower.error_floor['valve'] == pytest.approx(1e-6 * group.error_floor['valve'])
 
 
 def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():

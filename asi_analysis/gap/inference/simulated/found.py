@@ -132,7 +132,7 @@ class Found(NamedTuple):
     @property
     def unexplained(self) -> bool:
         """Return whether the residual of a channel is more than noise and model error explain."""
-        return bool(self.relative_residual.max() > 1.0)
+        return not bool(self.relative_residual.max() <= 1.0)   # also if it overflows
 
     @property
     def prior_cost(self) -> float:

@@ -141,11 +141,14 @@ class _Explained(NamedTuple):
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
     null = with_noise_from_fit({(): null_fit(group)})[()]
+    # A little more than they explain is a larger model error, and no matter for other models.
+    alone |= null.far and not null.leaves_gap
     found = _hypotheses(null, tick, alone)
-    if len(found) > 1 and _only_noise_left(found):
-        found = with_noise_from_fit(found, with_lower_floor)
-    if not _only_noise_left(found) and not all(each.leaves_gap for each in found.values()):
-        # The model error of laws formulated in another way explains the rest, or most of it.
+    if _only_noise_left(found):
+        quiet = with_noise_from_fit(found, with_lower_floor) if len(found) > 1 else found
+        found = quiet if _only_noise_left(quiet) else found
+    elif not all(each.far for each in found.values()):
+        # Only the model error of laws formulated in another way explains the rest.
         found, alone = in_formulation(found, True), True
     weighed = weighed_of(found, alone)
     if weighed is None:
@@ -222,8 +225,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
     """
     Return the effects that explain the recordings beside the nominal values of all else.
 
-    Nothing can be much more probable: only noise is left, and no nominal parameter is off. Only
-    an effect's own parameters are fitted, so errors of others cannot imitate it.
+    Nothing can be much more probable: only noise is left, and no nominal parameter is off.
     """
     problem, theta = null.problem, null.problem.nominal
     values, at = problem.record(theta), null.at(theta)
@@ -238,12 +240,9 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
         return Found((start.name,), (start.variant,), start.problem, null.best).at(
             np.append(start.theta[:-count], best.theta))
 
-    found = []
-    for each in problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS)):
-        if not each.unexplained:
-            found.append(each._replace(best=each.best._replace(slopes=None)))
-        tick()
-    return found
+    fits = problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
+    return [each._replace(best=each.best._replace(slopes=None)) for each in fits
+            if each.best.cost < math.inf and not each.unexplained]
 
 
 def _beside(found: Found) -> Found:
