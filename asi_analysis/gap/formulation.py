@@ -5,6 +5,7 @@ Textbooks formulate friction, hysteresis and damping in several ways. With anoth
 model error remains, and a nominal parameter has a slightly different meaning.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,10 +13,12 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.group import NOISIER, Group, Values
+from asi_analysis.gap.model.predict import measured
 
 TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
 MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
+LEAST_ERROR = 1e-6        # of the simulator, rms, as a share of a signal's: what a fit finds
 
 
 def with_formulation(group: Group, other: bool) -> Group:
@@ -36,6 +39,29 @@ def with_formulation(group: Group, other: bool) -> Group:
         weight[channel] = 1.0 / (1.0 + count * model / MODEL_SAMPLES) if other else 1.0
     moved = replace(group, other_formulation=other, error_floor=floor, weight=weight)
     return replace(moved, nuisance=with_tolerance_of_formulation(group.nuisance, group, moved))
+
+
+def with_lower_floor(group: Group, residual: Values) -> Group:
+    """
+    Return a group whose error floor is at most the residual of a model, down to LEAST_ERROR.
+
+    residual: mean square by channel. A machine that is the simulator itself, recorded without
+    noise, shows that there is hardly a model error. One of laws formulated in another way has
+    that of these laws, and a baseline has the one that was measured.
+    """
+    if group.other_formulation or group.floor_measured:
+        return group
+    floor = {}
+    for channel, level in group.error_floor.items():
+        power = np.mean(np.concatenate([measured(r, channel)[r.known]
+                                        for r in group.recordings]) ** 2)
+        least = max(residual[channel], LEAST_ERROR ** 2 * float(power))
+        floor[channel] = min(level, least) or level   # a signal that is 0 shows nothing
+    if all(floor[channel] >= NOISIER ** 2 * level
+           for channel, level in group.error_floor.items()):
+        return group
+    return replace(group, error_floor=floor, noise={
+        channel: min(level, math.sqrt(floor[channel])) for channel, level in group.noise.items()})
 
 
 def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: Group

@@ -27,7 +27,6 @@ NOISIER = 0.6        # of the estimated noise: a smaller residual shows that the
 MODEL_ERROR = 0.005  # rms error of any model, as a share of the signal's rms
 RIGID_ERROR = 0.02   # the same of a rigid model of gears, belts and cables
 SIMULATOR_ERROR = 0.001   # the same of the simulator
-LEAST_ERROR = 1e-6   # the same of the simulator if a fit leaves less: what a fit finds at all
 LINEAR_ERROR = 0.0005   # the same if its laws are linear: integrated in another way
 VALVE_GAIN = 'valve_characteristic_gain'
 # The valve position is proportional to gain * full opening / maximum force.
@@ -342,29 +341,6 @@ def with_lower_noise(group: Group, residual: Values) -> Group:
     return replace(group, noise=noise, error_floor={
         channel: error_floor - group.noise[channel] ** 2 + noise[channel] ** 2
         for channel, error_floor in group.error_floor.items()})
-
-
-def with_lower_floor(group: Group, residual: Values) -> Group:
-    """
-    Return a group whose error floor is at most the residual of a model, down to LEAST_ERROR.
-
-    residual: mean square by channel. A machine that is the simulator itself, recorded without
-    noise, shows that there is hardly a model error. One of laws formulated in another way has
-    that of these laws, and a baseline has the one that was measured.
-    """
-    if group.other_formulation or group.floor_measured:
-        return group
-    floor = {}
-    for channel, level in group.error_floor.items():
-        power = np.mean(np.concatenate([measured(r, channel)[r.known]
-                                        for r in group.recordings]) ** 2)
-        least = max(residual[channel], LEAST_ERROR ** 2 * float(power))
-        floor[channel] = min(level, least) or level   # a signal that is 0 shows nothing
-    if all(floor[channel] >= NOISIER ** 2 * level
-           for channel, level in group.error_floor.items()):
-        return group
-    return replace(group, error_floor=floor, noise={
-        channel: min(level, math.sqrt(floor[channel])) for channel, level in group.noise.items()})
 
 
 def _noise(recording: Recording, channel: str, p: np.void) -> float:

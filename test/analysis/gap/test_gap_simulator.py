@@ -21,7 +21,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.diagnose import diagnose, document
-from asi_analysis.gap.formulation import with_formulation
+from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Posterior, most_probable
@@ -33,7 +33,6 @@ from asi_analysis.gap.model.group import (
     prepared_for,
     simulator_group,
     with_less_noisy_valve,
-    with_lower_floor,
     with_lower_noise,
     with_simulated_valve,
 )

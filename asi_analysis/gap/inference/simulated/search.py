@@ -17,6 +17,7 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
+from asi_analysis.gap.formulation import with_lower_floor
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
@@ -57,7 +58,6 @@ from asi_analysis.gap.model.group import (
     Values,
     acts_on,
     with_fitted_start,
-    with_lower_floor,
     with_lower_noise,
     with_simulated_valve,
 )
