@@ -28,6 +28,7 @@ from rosbags.rosbag2 import Reader, ReaderError, storage_mcap
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from asi_analysis.bags.bag_writer import INFORMATION
+from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.bags.topic_messages import Messages, Topic
 from asi_analysis.errors import InputError
 from asi_common.jit import jit
@@ -49,8 +50,7 @@ BATCH_BYTES: Final = 2**20
 MOST_UNPACKED: Final = 256_000_000
 MOST_RATIO: Final = 30
 MOST_METADATA: Final = 2**20
-TOO_MUCH: Final = ('it unpacks to more than is allowed for a file of this size; if that is '
-                   'intended, write it uncompressed')
+TOO_MUCH: Final = f'it unpacks to more than is allowed for a file of this size; {IF_INTENDED}'
 
 
 class _Records(StreamReader):
@@ -438,7 +438,7 @@ def _packed(reader: Reader, select: Callable[[str], bool]
 def most_unpacked(path: Path) -> int:
     """Return the limit of what a file, or the files of a bag, may unpack to, bytes."""
     files = path.iterdir() if path.is_dir() else [path]
-    return max(MOST_UNPACKED, MOST_RATIO * sum(file.stat().st_size for file in files))
+    return unpack_limit(sum(file.stat().st_size for file in files), MOST_UNPACKED, MOST_RATIO)
 
 
 def _unzipped(packed: IO[bytes], most_bytes: int) -> bytes:

@@ -15,13 +15,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, unpacked_limit
+from asi_analysis.bags.exchange.text_file import MOST_COLUMNS, MOST_RATIO
+from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError, InputWarning
 from asi_common.files import read_bytes
 
 WIDE: Final = re.compile(r':\D*\d{4}')   # a format that pads a number to 1000 characters or more
 INFO: Final = Path('meta/info.json')
 MOST_INFO: Final = 10_000_000   # bytes
+MOST_OF_AN_EPISODE: Final = 400_000_000     # bytes of its numbers, unpacked
 VISUAL: Final = ('image', 'video')
 # Columns that say where a row is, not what was measured.
 EPISODE: Final = 'episode_index'
@@ -214,9 +216,9 @@ def _rows(file: Path, episode: int, wanted: Sequence[str], dataset: Dataset
 def _refuse_large(file: Path, group: Any, names: Sequence[str], dataset: Dataset) -> None:
     width = sum(dataset.features[name].width for name in names)
     size = 8 * group.num_rows * (width + 1)
-    if size > (limit := max(unpacked_limit(file), 400_000_000)):
+    if size > (limit := unpack_limit(file.stat().st_size, MOST_OF_AN_EPISODE, MOST_RATIO)):
         raise InputError(f'{file}: {group.num_rows} rows unpack to {size / 1e6:.0f} MB, more than '
-                         f'{limit / 1e6:.0f} MB')
+                         f'{limit / 1e6:.0f} MB: {IF_INTENDED}')
 
 
 def _is_numeric(kind: Any) -> bool:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from asi_analysis.bags.exchange.json_file import LINES, read_json
 from asi_analysis.bags.exchange.lerobot import is_dataset, read_dataset, refuse_episode
 from asi_analysis.bags.exchange.text_file import read_text, unpacked_limit
+from asi_analysis.bags.limits import IF_INTENDED
 from asi_analysis.errors import InputError, InputWarning
 
 MOST_COLUMNS: Final = 64   # of a matrix in a MAT file
@@ -70,7 +71,7 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
 def _refuse_large(path: Path, size: int) -> None:
     if size > (limit := unpacked_limit(path)):
         raise InputError(f'{path} unpacks to {size / 1e6:.0f} MB, more than {limit / 1e6:.0f} MB: '
-                         'save it unpacked if that is meant')
+                         + IF_INTENDED)
 
 
 def _read_mat(path: Path) -> Table:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.units import UNITS
+from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError
 
 COMMENT: Final = ('#', '%')
@@ -42,7 +43,7 @@ codecs.register_error('windows-1252', lambda error: (   # the encoding of older 
 
 def unpacked_limit(path: Path) -> int:
     """Return the largest number of bytes to which the compressed data of a file may unpack."""
-    return max(MOST_UNPACKED, MOST_RATIO * path.stat().st_size)
+    return unpack_limit(path.stat().st_size, MOST_UNPACKED, MOST_RATIO)
 
 
 @contextmanager
@@ -60,8 +61,8 @@ def unpacked(path: Path) -> Iterator[gzip.GzipFile | io.BufferedReader]:
     with gzip.open(path) as packed:
         while packed.read(MOST_LINE):
             if packed.tell() > limit:
-                raise InputError(f'{path} unpacks to more than {limit / 1e6:.0f} MB: unpack it '
-                                 'first if that is meant')
+                raise InputError(f'{path} unpacks to more than {limit / 1e6:.0f} MB: '
+                                 + IF_INTENDED)
         packed.seek(0)
         yield packed
 
