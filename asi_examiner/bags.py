@@ -178,7 +178,7 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
     call, index, sealed = out / 'examiner.json', out / 'cases.json', out / 'answers.sealed'
     if not out.exists():
         out.mkdir(parents=True)
-        call.write_text(json.dumps(arguments))
+        write_text(call, json.dumps(arguments))
     elif not call.exists() or json.loads(call.read_text()) != arguments:
         raise InputError(f'{out} exists already: give another --out, or that directory as an '
                          'argument to check it again')

@@ -26,6 +26,7 @@ from asi_analysis.measures.analysis import Analysis, analyze
 from asi_analysis.reporting.result import Table
 from asi_analysis.terminal import Progress, silent
 from asi_common.executable import interrupt_later
+from asi_common.files import write_text
 from asi_common.parameter import Value
 from asi_common.parameter_file import write_parameters
 
@@ -87,7 +88,7 @@ def prepare(experiment: Experiment, out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise InputError(f'{out} is not empty: nothing is overwritten; name another --out')
-        (out / 'experiment.json').write_text(json.dumps(information(experiment), indent=2) + '\n')
+        write_text(out / 'experiment.json', json.dumps(information(experiment), indent=2) + '\n')
         node = experiment.node_parameters | {'await_recorder': True}
         write_parameters(out / 'actuator.yaml', 'asi_actuator', {**experiment.actuator, **node})
         of_both = {name: value for name, value in node.items() if name in BOTH}

@@ -14,6 +14,7 @@ from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.viewing.scene import log_scene
+from asi_common.files import replacing
 
 TIME: Final = 'time'
 BLUE, ORANGE = 0x0072b2ff, 0xd55e00ff
@@ -55,8 +56,9 @@ def view(run: Run, out: Path | None) -> str:
     if out is None:
         stream.spawn(default_blueprint=blueprint)
         return 'shown in the Rerun viewer'
-    stream.save(out, default_blueprint=blueprint)
-    stream.disconnect()
+    with replacing(out) as temporary:
+        stream.save(temporary, default_blueprint=blueprint)
+        stream.disconnect()
     return f'written: {out} (rerun {out})'
 
 

@@ -109,9 +109,8 @@ def run_cases(folder: Path, progress: Progress) -> list[Row]:
         left = [entry for entry in index if entry['bag'] not in done]
     except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
         raise InputError(f'{reading} cannot be read: {_reason(error)}') from None
-    with path.open('w') as file:
-        file.writelines(whole)
-        file.flush()
+    write_text(path, ''.join(whole))
+    with path.open('a') as file:
         for row in each(examine, ((folder, entry) for entry in left)):
             rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')
@@ -311,8 +310,8 @@ def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: 
             counts[names.index(short(truth)), columns.index(short(said))] += 1
     used = counts.sum(axis=1) > 0
     bars = result['reliability']
-    with figures.style():
-        pictures.confusion([n for n, k in zip(names, used, strict=True) if k], columns,
-                           counts[used]).savefig(out / 'confusion.png')
-        pictures.reliability([b['said'] for b in bars], [b['right'] for b in bars],
-                             [b['cases'] for b in bars]).savefig(out / 'reliability.png')
+    figures.save(pictures.confusion([n for n, k in zip(names, used, strict=True) if k], columns,
+                                    counts[used]), out / 'confusion.png')
+    figures.save(pictures.reliability(
+        [b['said'] for b in bars], [b['right'] for b in bars], [b['cases'] for b in bars]),
+        out / 'reliability.png')
