@@ -21,7 +21,7 @@ help:
 	@echo 'make test-slow  run the tests that take longest, which make test leaves out'
 	@echo 'make test-python PYTHON=python3.13   a part of the tests with another Python'
 	@echo 'make test-oldest   the same with the oldest dependencies that setup.py allows'
-	@echo 'make torture  break everything for TORTURE_MINUTES (10), print what was lost'
+	@echo 'make torture  break everything, ten thousand inputs or TORTURE_MINUTES; print what was lost'
 	@echo 'make soak     an hour of lock-step, ten minutes of real time: memory, files, threads'
 	@echo 'make bench    measure the speed of everything (doc/reference/performance.md); BENCH=NAME: one'
 	@echo 'make lint     check style, types and imports'

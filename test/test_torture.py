@@ -1,15 +1,17 @@
 """What `make torture` shows while it runs."""
 
 import io
+import math
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 from rich.console import Console
 
 from torture import __main__ as torture
 from torture.endings import handles_ctrl_c
-from torture.rig import Tally, until
+from torture.rig import Rig, Tally, until
 
 
 @pytest.mark.parametrize('terminal', [True, False])
@@ -22,6 +24,28 @@ def test_progress_is_shown_until_the_end_of_a_scenario(terminal, monkeypatch):
         tally.count('a file', times=3)
         tally.count('a file', 'a traceback')
         until(lambda: 'inputs: 4 tried, 1 not survived' in written.getvalue(), 'a line')
+
+
+@pytest.mark.parametrize('minutes', [None, '0.001'])
+def test_inputs_are_not_cut_short_unless_a_time_is_given(
+        minutes: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: dict[str, float] = {}
+
+    def scenario(name: str) -> Callable[[Rig, Tally, float], None]:
+        def tried(_: Rig, tally: Tally, end: float) -> None:
+            ends[tally.name] = end
+        tried.__name__ = name
+        return tried
+
+    inputs, clocks = scenario('inputs'), scenario('clocks')
+    monkeypatch.setattr(torture, 'SCENARIOS', {inputs: 0.1, clocks: 0.1})
+    monkeypatch.setattr(torture, 'WHOLE', (inputs,))
+    monkeypatch.setattr(sys, 'argv', ['torture'])
+    monkeypatch.delenv('TORTURE_MINUTES', raising=False)
+    if minutes:
+        monkeypatch.setenv('TORTURE_MINUTES', minutes)
+    assert torture.main() == 0
+    assert math.isinf(ends['inputs']) == (minutes is None) and ends['clocks'] < math.inf
 
 
 @pytest.mark.parametrize(('program', 'handled'), [

@@ -1,6 +1,12 @@
-"""Run the scenarios for TORTURE_MINUTES (10) and print the number of faults and losses."""
+"""
+Run the scenarios for TORTURE_MINUTES and print the number of faults and losses.
+
+Without TORTURE_MINUTES: ten thousand damaged files and ten thousand calls, and 10 minutes for the
+other scenarios.
+"""
 
 import contextlib
+import math
 import os
 import random
 import sys
@@ -35,6 +41,8 @@ SCENARIOS: dict[Callable[[Rig, Tally, float], None], float] = {
     disk: 0.05, clocks: 0.05, lockstep: 0.1, soak: 0.05, inputs: 0.1, options: 0.1,
     endings: 0.05,
 }
+# Those that end by themselves, after ten thousand; their time is limited if one is given.
+WHOLE = (inputs, options)
 # The same seed for a scenario breaks the same things in the same order.
 SEED = int(os.environ.get('TORTURE_SEED', '1'))
 # Seconds between two lines without a terminal, and between two states of the bar.
@@ -44,7 +52,8 @@ BAR_S = 0.5
 
 def main() -> int:
     """Return 1 if a fault was not survived."""
-    minutes = float(os.environ.get('TORTURE_MINUTES', '10'))
+    given = os.environ.get('TORTURE_MINUTES')
+    minutes = float(given or '10')
     names = sys.argv[1:]
     os.environ.setdefault('ROS_DOMAIN_ID', str(42 + os.getpid() % 50))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -58,6 +67,8 @@ def main() -> int:
             tallies.append(tally)
             rig = Rig(Path(folder) / tally.name, random.Random(SEED))
             begin, lasts_s = time.monotonic(), 60.0 * minutes * (1.0 if names else share)
+            if scenario in WHOLE and not given:
+                lasts_s = math.inf
             with _shown(console, tally, lasts_s):
                 try:
                     scenario(rig, tally, begin + lasts_s)
@@ -90,7 +101,7 @@ def _shown(console: Console, tally: Tally, lasts_s: float) -> Iterator[None]:
                 printed += 1
 
     def moving(bars: Progress) -> None:
-        task = bars.add_task('', total=lasts_s)
+        task = bars.add_task('', total=lasts_s if lasts_s < math.inf else None)
         while not over.wait(BAR_S):
             bars.update(task, completed=passed()[0], description=passed()[1])
 
