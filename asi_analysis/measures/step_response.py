@@ -241,6 +241,8 @@ RETURNS: Final = 2.0
 LOST_SHARE: Final = 0.1
 # A rise in fewer sampling periods is mostly interpolated.
 RESOLVED: Final = 2.0
+# Values that differ by less than this share of a step are rounded numbers, not those of a sensor.
+ROUNDING: Final = 1e-9
 
 
 class StepResponse(Result):
@@ -320,9 +322,13 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     if levels.withheld:
         moving = steady = levels
     resolution = float(np.diff(np.unique(run.signal(name)[first:])).min(initial=np.inf))
-    if steady.reliable and abs(step.steady_state_error_n or np.inf) < resolution:
+    error, size = step.steady_state_error_n, abs(step.final_n - step.initial_n)
+    if steady.reliable and error is not None and max(abs(error), ROUNDING * size) < resolution:
         steady = Trust(False, False, f'the {name} has a resolution of {resolution:.3g} '
                                      f'{run.unit(name)}')
+    if moving.reliable and step.rise_time_s == 0.0:
+        moving = Trust(False, False, f'the {name} has risen within the sample at which the '
+                                     'reference jumps: are rows missing there?')
     rise = moving
     if moving.reliable and (step.rise_time_s or np.inf) < RESOLVED * run.period_s:
         rise = Trust(False, False, f'the samples are {1e3 * run.period_s:.4g} ms apart')

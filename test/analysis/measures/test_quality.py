@@ -254,11 +254,19 @@ def test_a_filler_soon_after_a_step_is_found() -> None:
     assert 'jump' in {each.kind for each in found}
 
 
-def test_a_steady_state_error_below_the_resolution_is_marked() -> None:
-    document = analyze(with_force(a_run(), np.trunc))
+@pytest.mark.parametrize('digits', [np.trunc, np.round])
+def test_a_steady_state_error_below_the_resolution_is_marked(digits: np.ufunc) -> None:
+    """Also one of exactly 0 N."""
+    document = analyze(with_force(a_run(), digits))
+    assert digits is np.trunc or document['steady_state_error_n'] == 0.0
     assert not document['reliable']['steady_state_error_n']
     assert 'steady-state error: doubtful, because the force has a resolution of 1 N' in document[
         'notes']
+
+
+def test_a_steady_state_error_of_nothing_is_told_by_numbers_of_many_digits() -> None:
+    document = analyze(with_force(a_run(), lambda f: np.where(f > 90.0, 100.0 + 1e-13 * f, f)))
+    assert document['reliable']['steady_state_error_n']
 
 
 def test_frozen_samples_are_found_beside_two_that_are_nearly_equal() -> None:

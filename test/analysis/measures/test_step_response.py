@@ -143,3 +143,16 @@ def test_a_rise_between_two_samples_is_doubtful(every, resolved):
     assert found.reliable['overshoot_percent']
     assert [note for note in found.notes if 'samples are 24 ms apart' in note] == (
         [] if resolved else ['rise: doubtful, because the samples are 24 ms apart'])
+
+
+def test_a_force_that_has_risen_when_its_reference_jumps_has_no_reliable_response():
+    """Of a rise of 0 s, that is: 90 % are reached in the first sample, as rows are left out."""
+    run = step_run(lambda t: second_order(t, 0.456, 100.0), noise=0.3)
+    kept = np.ones(len(run), bool)
+    kept[240:400] = False
+    found = analyze(Run(np.arange(kept.sum()) / RATE_HZ, reference_n=run.reference_n[kept],
+                        force_n=run.force_n[kept]))
+    assert found.rise_time_s == 0.0 and found.bandwidth_hz is None
+    assert not any(found.reliable[name] for name in (
+        'rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'bandwidth_hz'))
+    assert 'has risen within the sample at which the reference jumps' in found.notes[0]
