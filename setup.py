@@ -53,19 +53,20 @@ setup(
         'cma>=4.0,<5',
         'joblib>=1.4,<2',
     ],
-    extras_require={
-        'cluster': ['dask', 'distributed'],
-        'pandas': ['pandas>=2.0'],   # to_frame() of results and runs
-        'live': ['nicegui>=3.18'],
-        'view': ['rerun-sdk>=0.41'],
-        'mujoco': ['mujoco>=3.5'],   # replays what asi gap --export writes; 3.5 has delays
+    extras_require={     # their bounds were tried one by one
+        'cluster': ['dask>=2024.8,<2027', 'distributed>=2024.8,<2027'],
+        'pandas': ['pandas>=2.2.2,<4'],     # to_frame() of results and runs; with numpy 2
+        'live': ['nicegui>=3.18,<4'],
+        'view': ['rerun-sdk>=0.41,<1'],
+        # Replays what asi gap --export writes; 3.5 has delays.
+        'mujoco': ['mujoco>=3.5,<5'],
         # What `make bench` compares with, over what the tests need.
         'bench': ['mujoco', 'mcap-ros2-support'],
         # What `make docs` builds the documents with.
         'docs': ['sphinx>=8', 'myst-nb>=1.2', 'furo', 'sphinxcontrib-mermaid>=1.0'],
         'test': ['pytest', 'pytest-timeout', 'pytest-xdist>=3.5', 'hypothesis', 'control',
                  'colcon-common-extensions', 'ruff', 'mypy', 'import-linter>=2.0',
-                 'types-PyYAML', 'dask', 'distributed', 'pandas>=2.0', 'nicegui>=3.18',
+                 'types-PyYAML', 'dask', 'distributed', 'pandas>=2.2.2', 'nicegui>=3.18',
                  'playwright>=1.65'],   # the live page in Chromium, where there is one
     },
     zip_safe=True,

@@ -43,8 +43,10 @@ def pip_line() -> str:
 
 
 def test_every_dependency_has_a_lower_and_an_upper_bound() -> None:
-    """But those of ROS, which go together."""
-    for name, wanted in needed().items():
+    """But those of ROS, which go together; also those of the extras that a user may take."""
+    extras = ('cluster', 'pandas', 'live', 'view', 'mujoco')
+    assert {'dask', 'pandas', 'nicegui', 'rerun-sdk', 'mujoco'} <= needed(*extras).keys()
+    for name, wanted in needed(*extras).items():
         bounds = {each.operator for each in wanted.specifier}
         assert name.startswith('ros-') or {'>=', '<'} <= bounds, wanted
 
