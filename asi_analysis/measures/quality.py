@@ -35,6 +35,11 @@ GAP_PERIODS: Final = 1.5
 AROUND: Final = 5
 # Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
+# Least change of the period that lasts, as a share of it and in terms of the jitter beside it;
+# fewest samples before and after it.
+OTHER_PERIOD: Final = 0.01
+ABOVE_JITTER: Final = 10.0
+FEWEST_BESIDE: Final = 50
 # A gap of more periods and more seconds is a step of the clock, or a second recording.
 CLOCK_PERIODS: Final = 1000
 CLOCK_S: Final = 10.0
@@ -209,6 +214,27 @@ def _of_time(time: Array) -> Iterator[Finding]:
         yield Finding('jitter', 'time', NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
                       f'{100.0 * jitter / period:.0f} % of a period early or late')
+    if (change := _of_period(steps[~gaps])):
+        place, before, after = change
+        moment = float(time[:-1][~gaps][place])
+        yield Finding('jitter', 'time', NOTE, ((moment, float(time[-1])),),
+                      f'the samples are {1e3 * before:.4g} ms apart up to {moment:.4g} s, '
+                      f'{1e3 * after:.4g} ms from then on: has the rate changed, or the clock?')
+
+
+def _of_period(steps: Array) -> tuple[int, float, float] | None:
+    """Return where the time between samples changes for good, and what it is before and after."""
+    if len(steps) < 2 * FEWEST_BESIDE:
+        return None
+    # The sum of the deviations from the mean is largest where the mean changes.
+    place = int(np.argmax(np.abs(np.cumsum(steps - steps.mean())))) + 1
+    parts = steps[:place], steps[place:]
+    if min(map(len, parts)) < FEWEST_BESIDE:
+        return None
+    before, after = (float(np.median(part)) for part in parts)
+    jitter = max(float(np.quantile(np.abs(part - np.median(part)), 0.9)) for part in parts)
+    clear = abs(after - before) > max(ABOVE_JITTER * jitter, OTHER_PERIOD * before)
+    return (place, before, after) if clear else None
 
 
 def _of_import(run: Run) -> Iterator[Finding]:

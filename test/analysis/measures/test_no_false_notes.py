@@ -116,6 +116,19 @@ def test_uneven_samples_are_noted() -> None:
     assert 'unevenly spaced' in found.text
 
 
+@pytest.mark.parametrize(('share', 'jitter', 'noted'), [
+    (1.1, 0.0, True), (0.8, 0.0, True), (1.1, 0.002, True), (1.005, 0.0, False),
+    (1.1, 0.05, False)])
+def test_a_period_that_changes_for_good_is_noted(share: float, jitter: float, noted: bool) -> None:
+    steps = np.repeat([1.0, share], [400, 600]) / 250.0
+    steps *= 1.0 + jitter * np.random.default_rng(6).normal(size=len(steps))
+    t = np.cumsum(steps)
+    told = [found.text for found in findings(Run(t, None, None, np.sin(3.0 * t)))
+            if 'ms apart up to' in found.text]
+    assert len(told) == noted
+    assert not told or 'ms apart up to 1.6 s, ' in told[0]
+
+
 @pytest.mark.parametrize('resolution', [2.0 * np.pi / 4096, 1e-5])
 @pytest.mark.parametrize('filtered', [1, 5, 40])
 def test_an_encoder_neither_jumps_nor_freezes_where_the_joint_rests(
