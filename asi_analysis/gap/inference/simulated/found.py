@@ -25,7 +25,6 @@ from asi_analysis.gap.model.effects import Variant
 # noise variance: it is estimated from fourth differences, and three standard errors of it are
 # about NOISE_ERROR over the square root of the number of samples.
 MARGIN, NOISE_ERROR = 1.1, 10.0
-GAP = 4.0   # power, over what noise and model error explain, that is surely neither of them
 
 
 class Found(NamedTuple):
@@ -117,17 +116,7 @@ class Found(NamedTuple):
     @property
     def far(self) -> bool:
         """Return whether it leaves more than noise and the model error of other formulations."""
-        return self._times_explained > 1.0
-
-    @property
-    def leaves_gap(self) -> bool:
-        """Return whether it leaves so much more that no model error can be the reason."""
-        return self._times_explained > GAP
-
-    @property
-    def _times_explained(self) -> float:
-        """Return the power left, over what noise and model error of other formulations explain."""
-        return float((self.relative_residual / self._any_formulation).max())
+        return bool((self.relative_residual / self._any_formulation).max() > 1.0)
 
     @property
     def unexplained(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
-from asi_analysis.gap.inference.simulated.found import GAP, Found
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.search import (
     gain_is_off,
     null_fit,
@@ -25,8 +25,8 @@ from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group, with_simulated_valve
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
-# formulated in another way.
-LEFT = 0.05
+# formulated in another way; and the power, over what noise and model error explain, that is a gap.
+LEFT, GAP = 0.05, 4.0
 
 
 class OwnLaws(NamedTuple):

@@ -141,8 +141,6 @@ class _Explained(NamedTuple):
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
     null = with_noise_from_fit({(): null_fit(group)})[()]
-    # A little more than they explain is a larger model error, and no matter for other models.
-    alone |= null.far and not null.leaves_gap
     found = _hypotheses(null, tick, alone)
     if _only_noise_left(found):
         quiet = with_noise_from_fit(found, with_lower_floor) if len(found) > 1 else found
