@@ -182,7 +182,8 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     """
     Return a group of channels that the simulator itself predicts, ready to be fitted.
 
-    linear: the nominal laws are, so a machine's are not formulated in another way.
+    linear: the nominal laws are, so a machine's are not formulated in another way. The gain of the
+    force sensor is uncertain only if they are not: of few laws, it would be most of what is free.
     """
     own_error, any_error = (LINEAR_ERROR, LINEAR_ERROR) if linear else (
         SIMULATOR_ERROR, MODEL_ERROR)
@@ -207,7 +208,8 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
         recordings, channels, p, error_floor, exact)
     kinds = [kind for kind in ('valve', 'force') if kind in channels or (
         kind == 'valve' and any(r.valve_position is None for r in recordings))]
-    names = [name for kind in kinds for name in forms.UNCERTAIN[kind]]
+    names = [name for kind in kinds for name in forms.UNCERTAIN[kind]
+             if not (linear and name == 'force_sensor_gain')]
     nuisance = tuple(Free(name, 0.05, 5.0, (1.0,), 'nominal', prior=0.5 * tolerance)
                      for name in dict.fromkeys(names)
                      if nominal[name] != 0.0 and _is_modelled(name, nominal))
@@ -371,8 +373,6 @@ def _is_modelled(name: str, nominal: np.void) -> bool:
     if name.startswith('load_locked') or name in ('load_stiffness', 'load_damping'):
         kind = ('locked', 'spring', 'free', 'prescribed')[int(nominal['load_type'])]
         return kind == ('locked' if name.startswith('load_locked') else 'spring')
-    if name == 'force_sensor_gain':   # of every model of the sensor
-        return True
     block = next((block for block in ('valve_flexure', 'valve_hysteresis', 'hydraulic_damping',
                                       'fluid_dynamics', 'friction', 'force_sensor')
                   if name.startswith(block)), None)
