@@ -232,33 +232,35 @@ def _watched(environment: Mapping[str, str]) -> Iterator[Callable[[], ActuatorSt
     """
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE',
                           environment['ROS_AUTOMATIC_DISCOVERY_RANGE'])
-    import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
-
-    from asi_common.node.diagnostics import LOOP
-    from asi_common.writable import choose_log_folder
-
     last = ActuatorStatus()
+    # The nodes run already. Ctrl-C in an import would end this command at once, so that it could
+    # not say where the bag is; in a call of rclpy it is another error.
+    with interrupt_later():
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
 
-    def receive(message: DiagnosticArray) -> None:
-        nonlocal last
-        for status in message.status:
-            if status.name == f'asi_actuator{LOOP}':
-                values = {value.key: value.value for value in status.values}
-                last = ActuatorStatus(int(values.get('ticks', 0)), values.get('state', ''),
-                                      status.message)
+        from asi_common.node.diagnostics import LOOP
+        from asi_common.writable import choose_log_folder
 
-    choose_log_folder()
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
-               signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
-                             start_parameter_services=False)
-    node.create_subscription(DiagnosticArray, '/diagnostics', receive, QUEUE)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
+        def receive(message: DiagnosticArray) -> None:
+            nonlocal last
+            for status in message.status:
+                if status.name == f'asi_actuator{LOOP}':
+                    values = {value.key: value.value for value in status.values}
+                    last = ActuatorStatus(int(values.get('ticks', 0)), values.get('state', ''),
+                                          status.message)
+
+        choose_log_folder()
+        context = rclpy.Context()
+        rclpy.init(args=[], context=context, domain_id=int(environment['ROS_DOMAIN_ID']),
+                   signal_handler_options=SignalHandlerOptions.NO)
+        node = rclpy.create_node('asi_run', context=context, enable_rosout=False,
+                                 start_parameter_services=False)
+        node.create_subscription(DiagnosticArray, '/diagnostics', receive, QUEUE)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
 
     def status() -> ActuatorStatus:
         executor.spin_once(timeout_sec=POLL_S)
