@@ -10,12 +10,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from asi_actuator.model.actuator import simulate
 from asi_actuator.model.effects import EFFECT, EFFECTS
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
+from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_common.parameter import Value
+from asi_common.record import field_name
 
 RATES_HZ = (1000.0, 2000.0, 5000.0)
 LOADS = ('locked', 'spring', 'free')
@@ -23,7 +27,8 @@ DURATION_S = 8.0
 UNCHANGED = 0.3        # share of cases of the unchanged simulator
 SMALLER = (0.6, 1.0)   # shares of the first recording's excitation, of further recordings
 FACTOR = (1.4, 2.5)    # range of the factor, or its reciprocal, by which a parameter is changed
-VISIBLE = 2.0          # times the noise; a smaller change of the signals counts as too small
+VISIBLE = 2.0          # times the noise; what a refit leaves less of counts as too small
+TOLERANCE = 0.2        # within which the nominal parameters are refitted
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
 PROPORTIONAL: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
 OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
@@ -57,6 +62,16 @@ CHANGED = {
     'load.damping': ('parameter:load.damping', 'mechanics'),
 }
 ONLY_OF = {'load.locked_stiffness': 'locked', 'load.stiffness': 'spring', 'load.damping': 'spring'}
+# The other parameters that are uncertain, and so are refitted.
+UNCERTAIN = (
+    'valve_hysteresis.lag_time', 'valve_hysteresis.saturation', 'valve_flexure.natural_frequency',
+    'valve_flexure.damping_ratio', 'valve_characteristic.full_opening',
+    'hydraulic_damping.viscous', 'hydraulic_damping.velocity_width',
+    'hydraulic_damping.centre_share', 'friction.stiction_pull', 'friction.stribeck_velocity',
+    'friction.presliding_stiffness', 'load.locked_damping', 'force_sensor.natural_frequency',
+    'force_sensor.delay', 'force_sensor.mass_share', 'force_sensor.gain')
+REFIT = {'diff_step': 0.01, 'ftol': 1e-3, 'xtol': 1e-4, 'max_nfev': 40}   # of scipy's
+REFIT_SUBSTEP_S = 1e-4   # of both simulations
 
 
 # Effects that are switched on, at this range of factors of their example; not what is random.
@@ -69,7 +84,7 @@ class OwnCase(NamedTuple):
 
     changed: str | None
     factor: float
-    visibility: float       # change of the signals, nothing refitted, in multiples of the noise
+    visibility: float       # rms that refitted nominal parameters leave, in multiples of the noise
     excitation: str
     rate_hz: float
     nominal: dict[str, Value]
@@ -100,17 +115,52 @@ def draw_own(seed: int, recordings: int = 1) -> OwnCase:
         default = next(p.default for p in ACTUATOR_PARAMETERS if p.name == changed)
         machine[changed] = float(default) * factor
     noise = float(rng.random() < 0.7)
-    # The recording, another one of the same machine, and what the change alone does.
-    runs = [_recorded(values, excitation, size, rate, [seed, number], level, reference)
-            for number, (values, level, reference) in enumerate(
-                ((machine, noise, 1), (machine, noise, 2), (machine, 0.0, 1), (nominal, 0.0, 1)))]
-    visibility = max(float(np.std(getattr(runs[2], name) - getattr(runs[3], name))) / level
-                     for name, level in NOISE.items())
+    run, fresh = (_recorded(machine, excitation, size, rate, [seed, number], noise, number + 1)
+                  for number in (0, 1))
+    assert run.command_n is not None
+    visibility = 0.0 if changed is None else _visibility(machine, nominal, run.command_n, rate)
     more = tuple(_recorded(machine, str(rng.choice(list(EXCITATIONS))),
                            float(rng.uniform(*SMALLER)) * size, rate, [seed, number], noise,
                            number)
                  for number in range(4, 3 + recordings))
-    return OwnCase(changed, factor, visibility, excitation, rate, nominal, runs[0], runs[1], more)
+    return OwnCase(changed, factor, visibility, excitation, rate, nominal, run, fresh, more)
+
+
+def _visibility(machine: dict[str, Value], nominal: dict[str, Value], command: Array,
+                rate_hz: float) -> float:
+    """
+    Return the largest rms change of a signal that the nominal model, refitted, does not explain.
+
+    In multiples of the noise. Both simulate the recorded command, without noise; the nominal
+    parameters are refitted within their tolerance.
+    """
+    load, step = nominal['load.type'], max(1, int(rate_hz / RATES_HZ[0]))
+    names = [field_name(name) for name in (*CHANGED, *UNCERTAIN)
+             if ONLY_OF.get(name, load) == load]
+
+    def signals(p: np.void) -> Array:
+        p['maximum_substep'] = REFIT_SUBSTEP_S
+        run = simulate(p, command, 1.0 / rate_hz)
+        return np.array([getattr(run, name)[::step] / level for name, level in NOISE.items()])
+
+    real, untouched = signals(as_record(machine)), np.ones(len(names))
+
+    def missed(factors: Array) -> Array:
+        p = as_record(nominal)
+        for name, factor in zip(names, factors, strict=True):
+            p[name] *= factor
+        return (signals(p) - real).ravel()
+
+    largest = _largest_rms(missed(untouched))
+    if largest < VISIBLE:
+        return largest
+    return _largest_rms(least_squares(missed, untouched, bounds=(
+        1.0 - TOLERANCE, 1.0 + TOLERANCE), **REFIT).fun)
+
+
+def _largest_rms(missed: Array) -> float:
+    """Return the largest rms of the signals in a residual, one after the other."""
+    return float(np.sqrt(np.mean(missed.reshape(len(NOISE), -1) ** 2, axis=1)).max())
 
 
 def _recorded(actuator: dict[str, Value], excitation: str, size: float, rate_hz: float,

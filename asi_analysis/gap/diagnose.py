@@ -209,6 +209,9 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     for note in (each for each in notes if each not in told):   # first: it may explain a refusal
         warnings.warn(note, InputWarning, stacklevel=2)
     answered, laws = list[Weighed | None](), list[OwnLaws]()
+    if simulated and model.get('load.type') != 'free':
+        for group in groups:
+            plausibility.check_against_model(group, alike=True)
     if simulated and has_linear_laws(model):
         laws = by_own_laws(simulated, tick)
         answered = [law.weighed for law in laws]

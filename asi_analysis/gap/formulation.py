@@ -13,12 +13,10 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.group import NOISIER, Group, Values
-from asi_analysis.gap.model.predict import measured
+from asi_analysis.gap.model.group import NOISIER, Group, Values, least_error
 
 TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
 MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
-LEAST_ERROR = 1e-6        # of the simulator, rms, as a share of a signal's: what a fit finds
 
 
 def with_formulation(group: Group, other: bool) -> Group:
@@ -51,12 +49,9 @@ def with_lower_floor(group: Group, residual: Values) -> Group:
     """
     if group.other_formulation or group.floor_measured:
         return group
-    floor = {}
-    for channel, level in group.error_floor.items():
-        power = np.mean(np.concatenate([measured(r, channel)[r.known]
-                                        for r in group.recordings]) ** 2)
-        least = max(residual[channel], LEAST_ERROR ** 2 * float(power))
-        floor[channel] = min(level, least) or level   # a signal that is 0 shows nothing
+    # A signal that is 0 shows nothing.
+    floor = {channel: min(level, max(residual[channel], least_error(group, channel))) or level
+             for channel, level in group.error_floor.items()}
     if all(floor[channel] >= NOISIER ** 2 * level
            for channel, level in group.error_floor.items()):
         return group

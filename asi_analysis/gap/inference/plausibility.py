@@ -200,11 +200,12 @@ def _earliest(recording: Recording) -> float:
     return max(EARLIEST_S, EARLY_SAMPLES * recording.period_s)
 
 
-def check_against_model(group: Group) -> list[str]:
+def check_against_model(group: Group, alike: bool = False) -> list[str]:
     """
     Return warnings of outputs that come before their inputs.
 
     Raises InputError for a channel that differs from the model by more than any effect explains.
+    alike: only if its shape is that of the model, so that a sign, a unit or a clock is wrong.
     """
     notes = []
     for recording in group.recordings:
@@ -220,6 +221,8 @@ def check_against_model(group: Group) -> list[str]:
             where = (f'{recording.source}: {output} compared with the response of the model to '
                      f'{driven}')
             if np.std(model[valid]) == 0.0:
+                if alike:
+                    continue
                 raise InputError(f'{where}: that is constant')
             correlation = float(np.corrcoef(real[valid], model[valid])[0, 1])
             slope = float(np.std(real[valid]) / np.std(model[valid]))
@@ -229,13 +232,15 @@ def check_against_model(group: Group) -> list[str]:
             soft = SOFT_LOAD_FACTOR if channel in ('load', *MOTIONS) else 1.0
             least = 1.0 / (soft * FACTOR)
             implausible = not 1.0 / LARGEST_FACTOR < slope < LARGEST_FACTOR
-            if implausible or (correlation > SHAPE_CORRELATION and not least < slope < FACTOR):
+            of_shape = correlation > SHAPE_CORRELATION
+            if (implausible and (of_shape or not alike)) or (
+                    of_shape and not alike and not least < slope < FACTOR):
                 load = '' if int(group.nominal['load_type']) != FREE else (
                     ': its load is free, so that force and motion are those of the mass alone')
                 raise InputError(f'{where}: a factor of {slope:.3g}; check the unit of {output} '
                                  f'and of {driven}, or the model{load}')
             shift, shifted = best_delay(real[valid], model[valid], recording.period_s)
-            if shifted < LEAST_CORRELATION:
+            if shifted < LEAST_CORRELATION and not alike:
                 raise InputError(f'{where}: not correlated (correlation {correlation:.2f}): '
                                  'this is not the actuator of the model, or not '
                                  'the signal that its name says')

@@ -28,6 +28,7 @@ MODEL_ERROR = 0.005  # rms error of any model, as a share of the signal's rms
 RIGID_ERROR = 0.02   # the same of a rigid model of gears, belts and cables
 SIMULATOR_ERROR = 0.001   # the same of the simulator
 LINEAR_ERROR = 0.0005   # the same if its laws are linear: integrated in another way
+LEAST_ERROR = 1e-5      # the same that a fit finds
 VALVE_GAIN = 'valve_characteristic_gain'
 # The valve position is proportional to gain * full opening / maximum force.
 OF_VALVE_GAIN = (VALVE_GAIN, 'valve_characteristic_full_opening',
@@ -330,13 +331,19 @@ def recorrected(group: Group, p: np.void) -> Group:
         group.recordings, group.channels, p, float(p['maximum_substep']), group.exact_substep_s))
 
 
+def least_error(group: Group, channel: str) -> float:
+    """Return the least mean square error of a model that a fit finds."""
+    return LEAST_ERROR ** 2 * float(np.mean(np.concatenate(
+        [measured(r, channel)[r.known] for r in group.recordings]) ** 2))
+
+
 def with_lower_noise(group: Group, residual: Values) -> Group:
     """
-    Return a group whose noise is at most the residual of a model.
+    Return a group whose noise is at most the residual of a model, down to LEAST_ERROR.
 
     residual: mean square by channel. The noise estimate of a slowly sampled signal is too high.
     """
-    noise = {channel: min(level, math.sqrt(residual[channel]))
+    noise = {channel: min(level, math.sqrt(max(residual[channel], least_error(group, channel))))
              for channel, level in group.noise.items()}
     if all(noise[channel] >= NOISIER * level for channel, level in group.noise.items()):
         return group

@@ -30,6 +30,7 @@ from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator, parameter_errors
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
+    LEAST_ERROR,
     prepared_for,
     simulator_group,
     with_less_noisy_valve,
@@ -234,6 +235,22 @@ def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
     assert best.prior_cost == 0.0
     assert best.as_fitted.values['hydraulic_damping_saturation_velocity'] == pytest.approx(
         0.05, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_without_noise_a_small_residual_is_not_taken_for_model_error():
+    """Nominal parameters within their tolerance leave less than 0.1 % here."""
+    chirp = {'compensator': 'proportional', 'gain': 1e-6, 'reference.shape': 'chirp',
+             'reference.frequency': 0.5, 'reference.end_frequency': 50.0,
+             'reference.duration': 3.9, 'reference.amplitude': 180.0, 'reference.start': 0.05}
+    nominal = {'load.type': 'free'}
+    signals = simulate_loop({**nominal, 'hydraulic_damping.viscous': 281.0}, chirp, 4.0,
+                            2000.0)._asdict()
+    del signals['reference_n']
+    answer = document(diagnose([Run(**signals)], nominal))
+    assert answer['verdict'] == 'hydraulic_damping' and answer['probability'] > 0.9
+    assert answer['which'][0]['parameters']['hydraulic_damping_viscous'] == pytest.approx(
+        281.0, rel=1e-3)
 
 
 def test_other_laws_keep_their_model_error_in_a_quiet_recording():
@@ -512,3 +529,6 @@ def test_noise_that_is_zero_is_not_lowered_again():
     group = simulator_group(simulator.simulator_record({}), prepared([recorded({})]), ('valve',))
     silent = replace(group, noise={'valve': 0.0})
     assert with_lower_noise(silent, {'valve': 0.0}) is silent
+    lower = with_lower_noise(group, {'valve': 0.0})
+    size = np.sqrt(np.mean(measured(group.recordings[0], 'valve') ** 2))
+    assert lower.noise['valve'] == pytest.approx(LEAST_ERROR * size, rel=0.05)

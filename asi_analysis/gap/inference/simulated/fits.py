@@ -1,15 +1,17 @@
 """Fits of the simulator, corrected for the sub-step; values that one fit gives to another."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.inference.posterior import Posterior, most_probable
+from asi_analysis.gap.inference.posterior import Posterior, mean_squares, most_probable
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
 from asi_analysis.gap.inference.simulated.found import Found
-from asi_analysis.gap.model.group import recorrected
+from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
 from asi_analysis.gap.model.simulator import SUBSTEPS_S
 
 # The integration error of a long sub-step is corrected again after each fit: at most so often, and
@@ -57,6 +59,37 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(
         problem, found.best.theta, goal=goal)), goal)
+
+
+def with_noise_from_fit(found: Mapping[Names, Found],
+                        lowered: Callable[[Group, Values], Group] = with_lower_noise
+                        ) -> dict[Names, Found]:
+    """
+    Return hypotheses with the residual of the best one as the noise, if that is far smaller.
+
+    Oscillations above the band of a motion were counted as noise in it. lowered: how a group is
+    changed by that residual.
+    """
+    best = min(found.values(), key=lambda each: each.best.cost)
+    leader = best
+    while True:   # the best one first: the others are only compared with what it ends with
+        group, level = leader.problem.group, mean_squares(leader.problem, leader.best.residual)
+        quieter = lowered(group, {channel: float(share) * group.error_floor[channel]
+                                  for channel, share in zip(group.channels, level, strict=True)})
+        if quieter is group:
+            break
+        leader = converged(leader.weighed_as(replace(leader.problem, group=quieter)).refined())
+    if leader is best:
+        return dict(found)
+    goal = leader.best.cost + COST_RANGE
+
+    def quiet(each: Found) -> Found:
+        same = replace(each.problem.group, noise=group.noise, error_floor=group.error_floor)
+        weighed = each.weighed_as(replace(each.problem, group=same))
+        return converged(weighed.refined(goal=goal), goal)
+
+    return with_noise_from_fit({names: leader if each is best else quiet(each)
+                                for names, each in found.items()}, lowered)
 
 
 def with_usual_parameters(found: Found) -> Found:

@@ -12,6 +12,7 @@ import numpy as np
 
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
+from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.search import (
@@ -19,7 +20,6 @@ from asi_analysis.gap.inference.simulated.search import (
     null_fit,
     single_effects,
     with_free_gain,
-    with_noise_from_fit,
 )
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group, with_simulated_valve

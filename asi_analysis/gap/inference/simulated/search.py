@@ -29,7 +29,6 @@ from asi_analysis.gap.inference.posterior import (
     SLIGHT,
     Best,
     Posterior,
-    mean_squares,
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names
@@ -39,6 +38,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     converged,
     freed_fields,
     is_coarse,
+    with_noise_from_fit,
     with_usual_parameters,
     with_values_of,
 )
@@ -55,10 +55,8 @@ from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
     Group,
-    Values,
     acts_on,
     with_fitted_start,
-    with_lower_noise,
     with_simulated_valve,
 )
 from asi_analysis.gap.model.simulator import metres_per_newton
@@ -141,6 +139,8 @@ class _Explained(NamedTuple):
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
     null = with_noise_from_fit({(): null_fit(group)})[()]
+    if not null.unexplained:   # without noise it shows more than a model error would allow
+        null = with_noise_from_fit({(): null}, with_lower_floor)[()]
     found = _hypotheses(null, tick, alone)
     if _only_noise_left(found):
         quiet = with_noise_from_fit(found, with_lower_floor) if len(found) > 1 else found
@@ -169,34 +169,6 @@ def null_fit(group: Group) -> Found:
     return null._replace(best=null.best._replace(slopes=None), problem=replace(
         null.problem, group=with_fitted_start(
             null.problem.group, null.problem.record(null.best.theta))))
-
-
-def with_noise_from_fit(found: Mapping[Names, Found],
-                        lowered: Callable[[Group, Values], Group] = with_lower_noise
-                        ) -> dict[Names, Found]:
-    """
-    Return hypotheses with the residual of the best one as the noise, if that is far smaller.
-
-    Oscillations above the band of a velocity or position were counted as noise in it. lowered:
-    how a group is changed by that residual.
-    """
-    best = min(found.values(), key=lambda each: each.best.cost)
-    left = dict(zip(best.problem.group.channels, mean_squares(best.problem, best.best.residual),
-                    strict=True))
-
-    def quiet(each: Found) -> Found:
-        group = each.problem.group
-        return each.weighed_as(replace(each.problem, group=lowered(group, {
-            channel: float(share) * group.error_floor[channel]
-            for channel, share in left.items()})))
-
-    leader = quiet(best)
-    if leader.problem.group is best.problem.group:
-        return dict(found)
-    leader = converged(leader.refined())
-    goal = leader.best.cost + COST_RANGE
-    return with_noise_from_fit({names: leader if each is best else converged(
-        quiet(each).refined(goal=goal), goal) for names, each in found.items()}, lowered)
 
 
 def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
