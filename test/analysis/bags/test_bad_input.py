@@ -230,6 +230,18 @@ def test_a_folder_may_have_any_name(name: str, tmp_path: Path) -> None:
         shutil.rmtree(tmp_path / name)
 
 
+def test_a_name_with_line_ends_is_told_in_one_line(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In warnings too, and without codes of the terminal."""
+    odd = tmp_path / 'a\nb\x1b[1m.mcap'
+    odd.write_bytes(b'no bag')
+    status, said = asi(monkeypatch, capsys, 'import', odd, '--map', 'force=/a/b', '--out',
+                       tmp_path / 'new')
+    assert status == 2 and 'b\\x1b[1m.mcap is damaged' in said
+    assert all(line.startswith('asi: ') for line in said.splitlines())
+
+
 def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
     write_bag(a_run(), tmp_path / 'bag')
     (tmp_path / 'bag/metadata.yaml').unlink()
