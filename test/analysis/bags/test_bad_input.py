@@ -301,6 +301,13 @@ def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None
     assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
 
 
+def test_complex_numbers_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / 'a.mat'
+    savemat(file, {'force': 1j * np.arange(20.0)})
+    with pytest.raises(InputError, match='column force has complex numbers'):
+        import_recording(file, ['force=force'], 100.0)
+
+
 def test_a_damaged_member_of_an_npz_in_lzma_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / 'force.npy', np.arange(1000.0))
     with zipfile.ZipFile(tmp_path / 'a.npz', 'w', zipfile.ZIP_LZMA) as archive:
