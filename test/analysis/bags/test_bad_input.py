@@ -301,6 +301,13 @@ def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None
     assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
 
 
+@pytest.mark.parametrize('kind', ['csv', 'json', 'npz'])
+def test_a_file_of_no_bytes_is_refused(kind: str, tmp_path: Path) -> None:
+    (file := tmp_path / f'a.{kind}').symlink_to('/proc/kmsg')   # which would wait for ever
+    with pytest.raises(InputError, match='is empty'):
+        import_recording(file, ['force=force'], 100.0)
+
+
 def test_complex_numbers_are_refused(tmp_path: Path) -> None:
     file = tmp_path / 'a.mat'
     savemat(file, {'force': 1j * np.arange(20.0)})
