@@ -369,7 +369,7 @@ def test_ctrl_c_ends_a_compilation(tmp_path):
 def test_ctrl_c_between_two_calls_of_llvm_ends_at_once(tmp_path):
     """A KeyboardInterrupt in llvmlite left objects that were incomplete: once it crashed."""
     script = tmp_path / 'compiles.py'
-    script.write_text('''
+    script.write_text("""
 import signal
 import numba
 import asi_common.jit
@@ -381,7 +381,7 @@ def typed():
     return lambda: 1.0
 signal.signal(signal.SIGINT, command._raise)
 numba.njit(lambda: answer())()
-''')
+""")
     process = subprocess.run([sys.executable, script], capture_output=True, text=True,
                              env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert (process.returncode, process.stderr) == (130, 'asi: interrupted\n')
