@@ -207,7 +207,7 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     awake = lengths[0] >= CUT_OFF and _has_noise(values[begins[1]:])
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
             for k in np.flatnonzero(lengths >= FROZEN)
-            if (moving[max(k - FROZEN, 0):k].any() or k == 0 and awake)
+            if k == 0 and awake or moving[max(k - FROZEN, 0):k].any()
             and (moving[k:k + FROZEN].any() or k == len(changes))]
 
 
