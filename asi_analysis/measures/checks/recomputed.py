@@ -99,6 +99,10 @@ def of_controller(run: Run) -> ByController:
         found.append(Finding(
             'reading', 'time', NOTE, whole_run(run.time_s),
             'the recording lacks the command of its run: samples that were altered may not show'))
+    if run.reference_n is None and run.information.get('controller'):
+        found.append(Finding(
+            'reading', 'time', NOTE, whole_run(run.time_s),
+            'the recording lacks the reference of its run: figures are those of a loop without'))
     altered = [] if again is None or moved is None else list(_of_moved(run, moved))
     agrees = (again is not None and not altered and run.command_n is not None
               and bool(np.ptp(run.command_n) > 0.0))

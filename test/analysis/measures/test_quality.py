@@ -14,7 +14,7 @@ from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.quality import doubts, findings
-from torture.inputs import cycle
+from torture.inputs import cycle, with_command
 
 STEP = 500      # sample of the jump of the reference
 
@@ -104,6 +104,13 @@ def test_a_signal_with_noise_that_is_constant_at_first_is_frozen() -> None:
     rests = Run(time_s, *simulate_loop({'load.type': 'spring'}, {
         'reference.start': 0.1, 'reference.amplitude': 100.0}, 2.0, 1000.0)[1:])
     assert findings(rests) == []    # without noise it may rest
+
+
+def test_a_run_of_this_package_without_its_reference_is_told() -> None:
+    run = with_command()
+    assert findings(run) == []
+    note, = findings(replace(run, reference_n=None))
+    assert note.kind == 'reading' and 'lacks the reference' in note.text
 
 
 def test_every_second_cell_empty() -> None:
