@@ -48,11 +48,15 @@ def asi() -> int:
 
 def _raise(_: int, frame: FrameType | None) -> None:
     """
-    Raise KeyboardInterrupt; of a process that imports, end it.
+    Raise KeyboardInterrupt; of a process that imports or compiles, end it.
 
     Modules of others lose it at their import, or make another error of it: pybind11 makes an
-    ImportError, a class with descriptors a RuntimeError.
+    ImportError, a class with descriptors a RuntimeError. In llvmlite it leaves objects that are
+    incomplete, whose end is a traceback or a crash.
     """
+    from asi_common.executable import is_compiling
+    if is_compiling():
+        _interrupted()
     while frame is not None:
         if frame.f_code.co_filename.startswith('<frozen importlib'):
             _interrupted()

@@ -35,6 +35,13 @@ def end_at_once(status: int) -> NoReturn:
     os._exit(status)
 
 
+def is_compiling() -> bool:
+    """Return whether numba compiles in this process now."""
+    # None while the module is not imported, or only in part.
+    compiling = getattr(sys.modules.get('asi_common.jit'), 'compiling', None)
+    return compiling is not None and compiling()
+
+
 def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
                         ) -> Callable[[], None]:
     """
@@ -49,9 +56,7 @@ def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
 
     def watch() -> None:
         while came := os.read(reading, 100):
-            # None while the module is not imported, or only in part.
-            compiling = getattr(sys.modules.get('asi_common.jit'), 'compiling', None)
-            if set(came) & set(numbers) and compiling is not None and compiling():
+            if set(came) & set(numbers) and is_compiling():
                 os.write(2, said)
                 os._exit(status)
         os.close(reading)

@@ -25,16 +25,16 @@ LARGEST: Final = 60_000     # bytes of an input
 TEXT: Final = 30_000        # bytes of an undamaged text file: many lines of one form
 
 with atheris.instrument_imports(include=list(READERS), exclude=list(COMPILED)):
-    from torture.inputs import corpus, read
+    from torture.inputs import KEPT, corpus, read
 
 from asi_analysis.errors import InputError  # noqa: E402
 from asi_common.parameter import ParameterError  # noqa: E402
 
 
 def seeds(folder: Path) -> None:
-    """Write the good file of each kind, after a byte that says which it is."""
+    """Write a good file of each kind, and those kept, after a byte that says the kind."""
     with tempfile.TemporaryDirectory() as good:
-        for path in corpus(Path(good)):
+        for path in [*corpus(Path(good)), *(each for each in KEPT.iterdir() if each.is_file())]:
             kind = next((kind for kind in reversed(KINDS) if path.name.endswith(kind)), None)
             data = path.read_bytes()
             if kind in ('.csv', '.txt', '.json', '.jsonl'):

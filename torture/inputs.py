@@ -42,9 +42,11 @@ from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
 from asi_common.parameter import ParameterError
-from torture.rig import Rig, Tally
+from torture.rig import ROOT, Rig, Tally
 
 FILES: Final = 10_000
+# Damaged inputs of each kind, most of which once ended in a traceback or a wrong figure.
+KEPT: Final = ROOT / 'test/analysis/bags/corpus'
 SAMPLES: Final = 1500
 MAP: Final = ['time=time_s', 'force=force_n', 'reference=reference_n']
 DATASET_MAP: Final = ['time=timestamp', 'force=observation.state.force[N]',
@@ -142,6 +144,12 @@ def corpus(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.iterdir()) if path.is_file() and path.suffix != '.mat'
             ] + [next((folder / 'bag').glob('*.mcap')), folder / 'bag/metadata.yaml',
                  *dataset, folder / 'good.mat']
+
+
+def kept() -> list[Path]:
+    """Return what `read` takes of each damaged input that is kept in the repository."""
+    return sorted(path for path in KEPT.rglob('*') if path.is_file() and (
+        path.parent == KEPT or path.name in ('metadata.yaml', 'info.json')))
 
 
 def as_sqlite(bag: Path, out: Path, mode: CompressionMode = CompressionMode.NONE

@@ -38,7 +38,7 @@ def main() -> int:
             stream.reconfigure(errors='backslashreplace')
     choose_folder('MPLCONFIGDIR', Path(os.environ.get('XDG_CONFIG_HOME') or '~/.config')
                   / 'matplotlib')
-    warnings.showwarning = lambda message, *_: print(f'asi: {message}', file=sys.stderr)
+    warnings.showwarning = lambda message, *_: _say(str(message))
     # The ClickException of typer's own copy of click.
     click_exception: Any = typer.BadParameter.__mro__[2]
     try:
@@ -68,5 +68,12 @@ def main() -> int:
 
 
 def _fail(text: str, status: int) -> int:
-    print(f'asi: {" ".join(text.split())}', file=sys.stderr)
+    _say(text)
     return status
+
+
+def _say(text: str) -> None:
+    """Print one line on stderr; a file name may hold line ends and codes of the terminal."""
+    line = ' '.join(text.split())
+    print('asi: ' + ''.join(each if each.isprintable() else repr(each)[1:-1] for each in line),
+          file=sys.stderr)

@@ -366,6 +366,27 @@ def test_ctrl_c_ends_a_compilation(tmp_path):
     assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'
 
 
+def test_ctrl_c_between_two_calls_of_llvm_ends_at_once(tmp_path):
+    """A KeyboardInterrupt in llvmlite left objects that were incomplete: once it crashed."""
+    script = tmp_path / 'compiles.py'
+    script.write_text("""
+import signal
+import numba
+import asi_common.jit
+from asi_analysis import command
+def answer(): pass
+@numba.extending.overload(answer)
+def typed():
+    signal.raise_signal(signal.SIGINT)
+    return lambda: 1.0
+signal.signal(signal.SIGINT, command._raise)
+numba.njit(lambda: answer())()
+""")
+    process = subprocess.run([sys.executable, script], capture_output=True, text=True,
+                             env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert (process.returncode, process.stderr) == (130, 'asi: interrupted\n')
+
+
 def test_too_many_open_files_are_told_in_one_line(monkeypatch, capsys):
     def full():
         raise OSError(24, 'Too many open files')

@@ -164,6 +164,8 @@ def _scale(text: str | None, table: Table, mapping: Assignment, path: Path) -> f
 
 def numbers_of(name: str, column: npt.NDArray, path: Path) -> Array:
     """Return a column as numbers, NaN where a cell is empty."""
+    if np.iscomplexobj(column):
+        raise InputError(f'{path}: column {name} has complex numbers')
     if np.issubdtype(column.dtype, np.number):
         values = np.ravel(column).astype(float)
     else:

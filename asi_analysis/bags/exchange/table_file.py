@@ -53,6 +53,8 @@ def read_table(path: Path, skip_lines: int = 0, delimiter: str | None = None,
     try:
         if dataset:
             return read_dataset(path, episode, guess)
+        if (kind in TEXTS or kind in READERS) and not path.stat().st_size:
+            raise InputError(f'{path} is empty')    # one of /proc may wait for its content
         if kind in TEXTS:
             return read_text(path, skip_lines, delimiter, columns)
         if kind in READERS:

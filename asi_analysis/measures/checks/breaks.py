@@ -50,6 +50,8 @@ OFTEN: Final = 0.1      # share of other samples without a bend, or least bend, 
 MIRRORED: Final = 0.4
 # Least median change around a deviation, as a share of it, for one that is usual there.
 CHANGING: Final = 0.25
+# Least deviation of one of many spikes, as a multiple of the range of the signal without them.
+BEYOND: Final = 2.0
 # Least ratio of such a jump to the changes of the last samples.
 RECENT: Final = 1.5
 
@@ -113,7 +115,10 @@ def spikes(values: Array, inputs: Array | None = None, same_unit: bool = False,
     span = float(np.ptp(inputs)) if inputs is not None and same_unit else np.inf
     large = _large(deviation, max(float(np.ptp(smooth)), span if same_unit else 0.0))
     if large.sum() > max(2, 0.01 * len(values)):
-        return _fillers(values, large)
+        fillers, beyond = _fillers(values, large), deviation > BEYOND * float(np.ptp(smooth))
+        if fillers.any():
+            return fillers | large & beyond
+        large &= beyond
     if not large.any():
         return large
     if inputs is None:
@@ -198,8 +203,11 @@ def frozen(values: Array) -> list[tuple[int, int]]:
     # Numbers of few digits have a finer resolution where they are small.
     finest = ndimage.minimum_filter1d(changes, 2 * LAGS + 1)
     moving = changes > np.maximum(MOVING * float(np.median(changes)), QUANTA * finest)
+    # One with noise never rests, at its beginning neither.
+    awake = lengths[0] >= CUT_OFF and _has_noise(values[begins[1]:])
     return [(int(begins[k]), int(begins[k] + lengths[k]) - 1)
-            for k in np.flatnonzero(lengths >= FROZEN) if moving[max(k - FROZEN, 0):k].any()
+            for k in np.flatnonzero(lengths >= FROZEN)
+            if k == 0 and awake or moving[max(k - FROZEN, 0):k].any()
             and (moving[k:k + FROZEN].any() or k == len(changes))]
 
 
@@ -209,13 +217,10 @@ def straight(values: Array) -> list[tuple[int, int]]:
 
     Only in a signal with noise, whose bend changes its sign from sample to sample.
     """
-    bend = np.diff(values, 2)
-    if len(values) < FEWEST or not is_noisy(values):
+    if not _has_noise(values):
         return []
-    bend = np.abs(bend)
+    bend = np.abs(np.diff(values, 2))
     usual = float(np.median(bend))
-    if usual < QUANTA * float(np.diff(np.unique(values)).min(initial=np.inf)):
-        return []       # its resolution is no noise
     on_line = bend < STRAIGHT * usual
     edges = np.flatnonzero(np.diff(on_line.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
     long = edges[np.diff(edges)[:, 0] >= ON_A_LINE]
@@ -253,6 +258,13 @@ def cut_off(values: Array, reference: Array | None) -> Mask:
             low = values[k:k + CUT_OFF].min() - width[k - MOTION - 1]
             found[k:k + int(np.argmax(np.append(values[k:] < low, True)))] = True
     return found
+
+
+def _has_noise(values: Array) -> bool:
+    """Return whether n samples, at least FEWEST, have noise that is not their resolution."""
+    return len(values) >= FEWEST and is_noisy(values) and bool(
+        np.median(np.abs(np.diff(values, 2)))
+        >= QUANTA * np.diff(np.unique(values)).min(initial=np.inf))
 
 
 def is_noisy(values: Array) -> bool:

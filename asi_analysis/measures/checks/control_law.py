@@ -470,7 +470,7 @@ def _altered(rows: Rows, part: slice, residual: Array, own: Array
     factor, offset = 1.0 + float(found[0]), float(found[1])
     references = rows.groups()[1][part, 0]
     changing = np.ptp(references) > BREAK * np.ptp(rows.groups()[1][:, 0])
-    other_sign = abs(factor + 1.0) < BREAK and abs(offset) < BREAK * np.ptp(answered)
+    other_sign = abs(factor + 1.0) < BREAK      # no gain of a stable loop
     # While the reference is constant, another gain of the controller has the same effect.
     return (factor, offset) if changing or other_sign else (None, None)
 

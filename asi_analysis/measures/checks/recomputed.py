@@ -43,6 +43,9 @@ SAME: Final = 1e-9
 EVEN: Final = 0.01
 # Number of first samples by which a controller that began in another state is recognised.
 FIRST: Final = 3
+# Samples by which the place of a part of a reference is sought; places that are compared at most.
+PROBES: Final = 32
+MOST_BEGINS: Final = 1000
 MOST_HZ: Final = 1e9   # largest plausible control rate
 # Sub-steps of the actuator that are computed, in about a second; later samples are not compared.
 MOST_SUBSTEPS: Final = 3e6
@@ -84,7 +87,7 @@ def of_controller(run: Run) -> ByController:
         wrong = np.abs(command - again) > SHARE * float(np.ptp(command))
         if wrong.any():
             if _in_another_state(run, [(command, again)]):
-                return ByController(False, found)
+                return ByController(False, found or list(_of_rows(run)))
             where = _interval(run, wrong)
             return ByController(False, [*found, Finding(
                 'answer', 'time', DOUBTFUL, where,
@@ -96,6 +99,10 @@ def of_controller(run: Run) -> ByController:
         found.append(Finding(
             'reading', 'time', NOTE, whole_run(run.time_s),
             'the recording lacks the command of its run: samples that were altered may not show'))
+    if run.reference_n is None and run.information.get('controller'):
+        found.append(Finding(
+            'reading', 'time', NOTE, whole_run(run.time_s),
+            'the recording lacks the reference of its run: figures are those of a loop without'))
     altered = [] if again is None or moved is None else list(_of_moved(run, moved))
     agrees = (again is not None and not altered and run.command_n is not None
               and bool(np.ptp(run.command_n) > 0.0))
@@ -115,6 +122,23 @@ def _in_another_state(run: Run, pairs: list[tuple[Array, Array]]) -> bool:
         for recorded, again in pairs)
 
 
+def _of_rows(run: Run) -> Iterator[Finding]:
+    """Yield a finding if the reference is no part of the one that the controller made."""
+    recorded, count = run.reference_n, len(run)
+    made = generated(run, count + missing_ticks(run.information, count))
+    if recorded is None or made is None or not np.isfinite(recorded).all():
+        return
+    near = SHARE * float(np.abs(made).max())
+    begins = np.arange(len(made) - count + 1)
+    for k in np.linspace(0, count - 1, PROBES).astype(int):
+        begins = begins[np.abs(made[begins + k] - recorded[k]) <= near]
+    if not any(np.abs(made[begin:begin + count] - recorded).max() <= near
+               for begin in begins[:MOST_BEGINS]) and len(begins) <= MOST_BEGINS:
+        yield Finding('answer', 'time', DOUBTFUL, whole_run(run.time_s),
+                      'the reference is no part of the one that the controller of this run makes: '
+                      'samples were lost, repeated or altered')
+
+
 def _of_moved(run: Run, moved: Trajectory) -> Iterator[Finding]:
     """Compare reference, motion and force with those of the recorded actuator."""
     count = len(moved.time_s)
@@ -123,7 +147,7 @@ def _of_moved(run: Run, moved: Trajectory) -> Iterator[Finding]:
              and (values := getattr(run, each.field)) is not None}
     if _in_another_state(run, list(pairs.values())):
         return
-    if (reference := generated(run)) is not None:
+    if (reference := generated(run, len(run))) is not None:
         pairs['reference'] = (run.signal('reference'), reference)
     wrong = {name: found for name, (recorded, again) in pairs.items()
              if (found := np.abs(recorded - again) > SHARE * np.abs(again).max()).any()}
@@ -252,8 +276,8 @@ def _by_velocity(run: Run, controller: dict[str, Any], rate_hz: float) -> Array 
     return None
 
 
-def generated(run: Run) -> Array | None:
-    """Return the reference (N) of a run in lock-step; None if the controller did not make it."""
+def generated(run: Run, count: int) -> Array | None:
+    """Return n samples of the reference (N) in lock-step; None if it is of another node."""
     controller = run.information.get('controller', {})
     names = {each.name for each in REFERENCE_PARAMETERS}
     rate_hz = _rate(run)
@@ -264,7 +288,7 @@ def generated(run: Run) -> Array | None:
         return None
     if rate_hz is None or record['reference_shape'] == TOPIC:
         return None
-    return np.asarray(reference_forces(record, 1.0 / rate_hz, len(run)))
+    return np.asarray(reference_forces(record, 1.0 / rate_hz, count))
 
 
 def moved_by(run: Run, command: Array) -> Trajectory | None:

@@ -230,6 +230,18 @@ def test_a_folder_may_have_any_name(name: str, tmp_path: Path) -> None:
         shutil.rmtree(tmp_path / name)
 
 
+def test_a_name_with_line_ends_is_told_in_one_line(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In warnings too, and without codes of the terminal."""
+    odd = tmp_path / 'a\nb\x1b[1m.mcap'
+    odd.write_bytes(b'no bag')
+    status, said = asi(monkeypatch, capsys, 'import', odd, '--map', 'force=/a/b', '--out',
+                       tmp_path / 'new')
+    assert status == 2 and 'b\\x1b[1m.mcap is damaged' in said
+    assert all(line.startswith('asi: ') for line in said.splitlines())
+
+
 def test_metadata_that_is_a_pipe_does_not_hang(tmp_path: Path) -> None:
     write_bag(a_run(), tmp_path / 'bag')
     (tmp_path / 'bag/metadata.yaml').unlink()
@@ -287,6 +299,20 @@ def test_a_member_of_an_npz_that_is_no_array_is_left_out(tmp_path: Path) -> None
     with zipfile.ZipFile(tmp_path / 'a.npz', 'a') as archive:
         archive.writestr('notes.txt', 'day 2')
     assert len(import_recording(tmp_path / 'a.npz', ['force=force'], 10.0)) == 10
+
+
+@pytest.mark.parametrize('kind', ['csv', 'json', 'npz'])
+def test_a_file_of_no_bytes_is_refused(kind: str, tmp_path: Path) -> None:
+    (file := tmp_path / f'a.{kind}').symlink_to('/proc/kmsg')   # which would wait for ever
+    with pytest.raises(InputError, match='is empty'):
+        import_recording(file, ['force=force'], 100.0)
+
+
+def test_complex_numbers_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / 'a.mat'
+    savemat(file, {'force': 1j * np.arange(20.0)})
+    with pytest.raises(InputError, match='column force has complex numbers'):
+        import_recording(file, ['force=force'], 100.0)
 
 
 def test_a_damaged_member_of_an_npz_in_lzma_is_refused(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """A few hundred damaged files and samples; `make torture` tries ten thousand."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
@@ -8,10 +9,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from asi_analysis.errors import InputError
+from asi_common.parameter import ParameterError
 from torture.inputs import (
+    KEPT,
     corpus,
     figure_problem,
     file_problem,
+    kept,
+    read,
     recording,
     saturated,
     with_command,
@@ -55,3 +61,15 @@ def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:
 def test_nor_while_the_command_is_saturated_or_without_it(seed: int) -> None:
     for run in (saturated(), without_command()):
         assert not figure_problem(run, Random(seed))
+
+
+@pytest.mark.parametrize('path', kept(), ids=lambda path: str(path.relative_to(KEPT)))
+def test_an_input_that_is_kept_is_refused_in_one_line_or_has_a_note(path: Path) -> None:
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter('always')
+        try:
+            answer = read(path)
+        except (InputError, ParameterError, OSError) as error:
+            assert '\n' not in str(error)
+            return
+    assert noted or (answer and answer.said)

@@ -73,7 +73,7 @@ def test_a_preview_has_the_command_to_copy(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize('text, words', [
-    ('', 'Expecting value'), ('[', 'Expecting value'), ('3', 'holds no table'), ('[]', 'no field'),
+    ('', 'is empty'), ('[', 'Expecting value'), ('3', 'holds no table'), ('[]', 'no field'),
     ('{}', 'no field'), ('["a", "b"]', 'is no record'), ('[{"a": 1}, {"a": 2', 'delimiter'),
     ('{"t": 0}\n{"t": }\n', 'line 2: Expecting value'), (100000 * '[', 'recursion'),
     ('[{"a": {"b": 1}, "a.b": 2}, 3]', 'two fields are called a.b'),

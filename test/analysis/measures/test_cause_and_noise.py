@@ -131,3 +131,12 @@ def test_a_straight_line_of_few_digits_is_not_interpolated() -> None:
         'feedforward': 1.0}, 0.8, RATE_HZ)
     force = np.array([float(f'{each:.5g}') for each in run.signal('force')])
     assert findings(Run(run.time_s, run.reference_n, None, force)) == []
+
+
+@pytest.mark.parametrize('compensator', ['proportional', 'lead_lag'])
+def test_a_force_mirrored_while_its_reference_rests_is_found(compensator: str) -> None:
+    """The sign of its changes: no jump shows it, and no gain of a stable loop has its effect."""
+    run = a_loop('step', compensator)
+    mirrored = changed(run, lambda f: np.append(f[:900], 2.0 * f[900] - f[900:]))
+    assert kinds(run) == set()
+    assert kinds(mirrored) == {('answer', 'force')}

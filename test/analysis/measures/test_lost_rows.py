@@ -51,3 +51,15 @@ def test_the_position_shows_rows_that_were_lost(number: int) -> None:
 def test_a_controller_that_is_not_linear_lost_no_rows(addition: dict[str, float]) -> None:
     for shape in ('step', 'triangle'):
         assert findings(a_loop(shape, **addition)) == []
+
+
+@pytest.mark.parametrize('shape', ['sine', 'triangle', 'multisine'])
+def test_rows_left_out_of_a_run_of_this_package_are_no_cut_at_its_beginning(shape: str) -> None:
+    """Either leaves the first states unknown; but the reference of a part is a part of it."""
+    run = simulate({'load.type': 'spring', 'force_sensor.noise': 0.2}, {
+        'compensator': 'lead_lag', 'reference.shape': shape, 'reference.amplitude': 100.0},
+        1.0, 1000.0)
+    rows = run[5::10]
+    assert [each.kind for each in findings(replace(
+        rows, time_s=0.001 * np.arange(len(rows)))) if each.severity == 'doubtful'] == ['answer']
+    assert findings(run[40:]) == []

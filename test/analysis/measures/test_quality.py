@@ -14,7 +14,7 @@ from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.quality import doubts, findings
-from torture.inputs import cycle
+from torture.inputs import cycle, with_command
 
 STEP = 500      # sample of the jump of the reference
 
@@ -84,6 +84,33 @@ def test_each_kind_of_damage_is_found_and_its_figures_withheld(kind: str) -> Non
         assert not document['reliable'].get(figure, False)
     assert any('withheld, because' in note or 'step:' in note for note in document['notes'])
     assert 'data: ' in str(document)
+
+
+def test_many_spikes_are_found_as_few_are() -> None:
+    """More than a hundredth of the samples, in signal or reference."""
+    places = np.random.default_rng(5).choice(np.arange(50, 1950, 5), 60, replace=False)
+    high = 300.0 * np.random.default_rng(6).choice((-1.0, 20.0), 60)
+    run = a_run()
+    for worse in (with_force(run, lambda f: put(f, places, high)),
+                  replace(run, reference_n=put(run.signal('reference').copy(), places, high))):
+        spike, = (each for each in findings(worse) if each.kind == 'spike')
+        assert len(spike.intervals_s) == 60 and spike.severity == 'doubtful'
+
+
+def test_a_signal_with_noise_that_is_constant_at_first_is_frozen() -> None:
+    found = findings(with_force(a_run(), lambda f: put(f, slice(0, 53), 0.0)))
+    assert [(each.kind, each.intervals_s) for each in found] == [('frozen', ((0.0, 0.052),))]
+    time_s = np.arange(2000) / 1000.0
+    rests = Run(time_s, *simulate_loop({'load.type': 'spring'}, {
+        'reference.start': 0.1, 'reference.amplitude': 100.0}, 2.0, 1000.0)[1:])
+    assert findings(rests) == []    # without noise it may rest
+
+
+def test_a_run_of_this_package_without_its_reference_is_told() -> None:
+    run = with_command()
+    assert findings(run) == []
+    note, = findings(replace(run, reference_n=None))
+    assert note.kind == 'reading' and 'lacks the reference' in note.text
 
 
 def test_every_second_cell_empty() -> None:
