@@ -15,6 +15,7 @@ from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted, independent_samples
 from asi_analysis.gap.inference.posterior import Posterior, power
 from asi_analysis.gap.inference.probability import CONSTANTS
+from asi_analysis.gap.model.group import least_error
 
 LIMIT_95 = float(norm.ppf(0.975))   # standard deviations from the mean to a 95 % limit
 RISE = 0.5 * LIMIT_95 ** 2          # of the negative log likelihood there
@@ -58,7 +59,8 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     sizes = power(group) if isinstance(problem, Posterior) else np.ones(count)
     for channel, rest, change, size in zip(group.channels, residual, slopes, sizes, strict=True):
         model_error = 1.0 - group.noise[channel] ** 2 / group.error_floor[channel]
-        variance = (float(np.mean(rest ** 2)) / (more * counts[channel])
+        least = size * least_error(group, channel) / group.error_floor[channel]
+        variance = (max(float(np.mean(rest ** 2)), least) / (more * counts[channel])
                     + size * model_error / CONSTANTS.samples)
         square += change.T @ change / (rest.size * variance)
         slope += change.T @ rest / (rest.size * variance)

@@ -24,10 +24,11 @@ from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
-from asi_analysis.gap.inference.posterior import STEP, Posterior, most_probable
+from asi_analysis.gap.inference.posterior import STEP, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import search
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator, parameter_errors
+from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
     LEAST_ERROR,
@@ -251,6 +252,18 @@ def test_without_noise_a_small_residual_is_not_taken_for_model_error():
     assert answer['verdict'] == 'hydraulic_damping' and answer['probability'] > 0.9
     assert answer['which'][0]['parameters']['hydraulic_damping_viscous'] == pytest.approx(
         281.0, rel=1e-3)
+
+
+def test_a_fit_that_leaves_nothing_has_an_interval(monkeypatch):
+    group = simulator_group(simulator.simulator_record({}), prepared([recorded({})]), ('valve',))
+    group = replace(group, noise={'valve': math.sqrt(group.error_floor['valve'])})
+    problem = Posterior(group, group.nuisance)
+    best = most_probable(problem, problem.nominal, rounds=1)
+    residual = Posterior.residual
+    monkeypatch.setattr(Posterior, 'residual', lambda *each: 0.0 * residual(*each))
+    found = fitted(problem, best)
+    low, high = interval(found, likelihood(found), 'valve_flexure_delay')
+    assert low < found.values['valve_flexure_delay'] < high < 1.001 * low
 
 
 def test_other_laws_keep_their_model_error_in_a_quiet_recording():
