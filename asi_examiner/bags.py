@@ -127,7 +127,7 @@ def _own(seed: int, recordings: int) -> _Made:
     case = draw_own(seed, recordings)
     return _Made(Answer(
         *truth(case), case.excitation, 'own', str(case.nominal['load.type']), 'all',
-        case.visibility, {}, case.rate_hz),
+        case.visibility, case.sizes, case.rate_hz),
         # Without what they hold of their simulation.
         [replace(run, information={}) for run in (case.run, *case.more, case.fresh)],
         case.nominal)

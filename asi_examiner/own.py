@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from asi_actuator.model.actuator import simulate
 from asi_actuator.model.effects import EFFECT, EFFECTS
@@ -20,6 +19,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_common.parameter import Value
 from asi_common.record import field_name
+from asi_examiner.refit import refitted
 
 RATES_HZ = (1000.0, 2000.0, 5000.0)
 LOADS = ('locked', 'spring', 'free')
@@ -72,8 +72,6 @@ UNCERTAIN = (
     'friction.stiction_pull', 'friction.stribeck_velocity',
     'friction.presliding_stiffness', 'load.locked_damping', 'force_sensor.natural_frequency',
     'force_sensor.delay', 'force_sensor.mass_share', 'force_sensor.gain')
-# Of scipy's least squares; less exact, it left up to 190 times the noise that tolerances explain.
-REFIT = {'diff_step': 1e-3, 'ftol': 1e-4, 'xtol': 1e-6, 'max_nfev': 100, 'x_scale': 'jac'}
 REFIT_SUBSTEP_S = 1e-4   # of both simulations
 
 
@@ -87,6 +85,7 @@ class OwnCase(NamedTuple):
 
     changed: str | None
     factor: float
+    sizes: dict[str, float]   # of what is changed: its true values, by field
     visibility: float       # rms that refitted nominal parameters leave, in multiples of the noise
     excitation: str
     rate_hz: float
@@ -126,7 +125,9 @@ def draw_own(seed: int, recordings: int = 1) -> OwnCase:
                            float(rng.uniform(*SMALLER)) * size, rate, [seed, number], noise,
                            number)
                  for number in range(4, 3 + recordings))
-    return OwnCase(changed, factor, visibility, excitation, rate, nominal, run, fresh, more)
+    sizes = {field_name(name): value for name, value in machine.items()
+             if isinstance(value, float)}
+    return OwnCase(changed, factor, sizes, visibility, excitation, rate, nominal, run, fresh, more)
 
 
 def _visibility(machine: dict[str, Value], nominal: dict[str, Value], command: Array,
@@ -141,24 +142,24 @@ def _visibility(machine: dict[str, Value], nominal: dict[str, Value], command: A
     names = [field_name(name) for name in (*CHANGED, *UNCERTAIN)
              if ONLY_OF.get(name, load) == load]
 
-    def signals(p: np.void) -> Array:
+    def signals(p: np.void, count: int) -> Array:
         p['maximum_substep'] = REFIT_SUBSTEP_S
-        run = simulate(p, command, 1.0 / rate_hz)
+        run = simulate(p, command[:count], 1.0 / rate_hz)
         return np.array([getattr(run, name)[::step] / level for name, level in NOISE.items()])
 
-    real, untouched = signals(as_record(machine)), np.ones(len(names))
+    real = signals(as_record(machine), command.size)
 
-    def missed(factors: Array) -> Array:
+    def missed(factors: Array, share: float) -> Array:
         p = as_record(nominal)
         for name, factor in zip(names, factors, strict=True):
             p[name] *= factor
-        return (signals(p) - real).ravel()
+        found = signals(p, int(share * command.size))
+        return (found - real[:, :found.shape[1]]).ravel()
 
-    largest = _largest_rms(missed(untouched))
+    largest = _largest_rms(missed(np.ones(len(names)), 1.0))
     if largest < VISIBLE:
         return largest
-    return _largest_rms(least_squares(missed, untouched, bounds=(
-        1.0 - TOLERANCE, 1.0 + TOLERANCE), **REFIT).fun)
+    return _largest_rms(missed(refitted(missed, len(names), TOLERANCE), 1.0))
 
 
 def _largest_rms(missed: Array) -> float:

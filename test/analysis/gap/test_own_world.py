@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from asi_actuator.parameters import as_record
 from asi_analysis.gap.diagnose import diagnose, document
+from asi_common.record import field_name
 from asi_examiner.own import CHANGED, VISIBLE, draw_own, truth
 
 
@@ -13,13 +15,15 @@ def test_own_case_is_what_its_answer_says(seed):
     assert case.run.rate_hz == pytest.approx(case.rate_hz)
     kind, effects, blocks = truth(case)
     if case.changed is None:
-        assert (kind, effects, case.visibility) == ('none', [], 0.0)
+        assert (kind, effects, case.visibility, case.sizes) == ('none', [], 0.0, {})
     else:
         if case.changed in CHANGED:
             assert (effects[0], blocks[0]) == CHANGED[case.changed]
             assert not 1.0 / 1.3 < case.factor < 1.3
+            nominal = float(as_record(case.nominal)[field_name(case.changed)])
+            assert case.sizes == {field_name(case.changed): nominal * case.factor}
         else:
-            assert effects == [case.changed]
+            assert effects == [case.changed] and case.sizes
         assert (kind == 'effect') == (case.visibility > VISIBLE)
 
 
