@@ -185,7 +185,7 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
             ('command_rms_n', 'command', ('command',)),
             ('impedance_real', 'impedance', ('force', 'velocity')),
             ('impedance_imaginary', 'impedance', ('force', 'velocity'))):
-        trusted = trust(found, run, signals, start, end, LOST_SHARE)
+        trusted = trust(found, run, signals, start, end, LOST_SHARE, whole=True)
         if by_step and name == 'bandwidth_hz':
             # It was measured from the step response.
             reliable[name] = step.reliable.get('settling_time_2_s', True)
@@ -199,10 +199,15 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
         if figures[name] < -run.period_s and 'delay' in name:
             reliable[name] = False
             notes.append(f'{words}: doubtful, the output precedes the reference')
+        held = [each.text for each in found if each.kind == 'held' and each.signal in signals]
+        if held and 'delay' in name:
+            reliable[name] = False
+            notes.append(f'{words}: doubtful, as {held[0]}')
         notes += trusted.note(words)
         if trusted.withheld:
             figures[name] = None
-    trusted = trust(found, run, (measured, 'reference'), 0.5 * (start + end), end, LOST_SHARE)
+    trusted = trust(found, run, (measured, 'reference'), 0.5 * (start + end), end, LOST_SHARE,
+                    whole=True)
     reliable['oscillation'] = trusted.reliable
     notes += trusted.note('oscillation')
     if trusted.withheld:
