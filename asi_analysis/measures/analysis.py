@@ -8,6 +8,7 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures import oscillation as measure
+from asi_analysis.measures.correlation import repetition
 from asi_analysis.measures.frequency_response import (
     Bandwidth,
     actuator_bandwidth,
@@ -174,6 +175,9 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
     start, end = float(run.time_s[0]), float(run.time_s[-1])
     notes: list[str] = []
     by_step = figures['bandwidth_method'] == 'step'
+    repeats_s = 0.0
+    if figures['correlation_delay_s'] is not None and run.reference_n is not None:
+        repeats_s = run.period_s * repetition(np.nan_to_num(run.reference_n))
     for name, words, signals in (
             ('bandwidth_hz', 'bandwidth', ('reference', measured)),
             ('actuator_bandwidth_hz', 'bandwidth from the command', ('command', measured)),
@@ -199,6 +203,10 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
         if figures[name] < -run.period_s and 'delay' in name:
             reliable[name] = False
             notes.append(f'{words}: doubtful, the output precedes the reference')
+        if 'delay' in name and repeats_s and figures[name] > 0.5 * repeats_s:
+            reliable[name] = False
+            notes.append(f'{words}: doubtful, as the reference repeats after '
+                         f'{1e3 * repeats_s:.4g} ms: a shorter one fits too')
         held = [each.text for each in found if each.kind == 'held' and each.signal in signals]
         if held and 'delay' in name:
             reliable[name] = False

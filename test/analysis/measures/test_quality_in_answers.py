@@ -161,3 +161,14 @@ def test_a_delay_is_doubtful_if_the_signal_is_held_between_its_samples() -> None
         answer = analyze(each)
         assert answer.correlation_delay_s and answer.delay_s
         assert answer.reliable['correlation_delay_s'] is answer.reliable['delay_s'] is reliable
+
+
+def test_a_delay_of_more_than_half_a_repetition_of_the_reference_is_doubtful() -> None:
+    """The force of a free piston leads: with a triangle it was said to be almost 2 periods late."""
+    free = analyze(simulate({'load.type': 'free'}, {
+        'compensator': 'lead_lag', 'reference.shape': 'triangle', 'reference.amplitude': 60.0,
+        'reference.frequency': 4.0}, 1.5, 1000.0))
+    assert free.correlation_delay_s > 0.125 and not free.reliable['correlation_delay_s']
+    answer = analyze(simulate({'load.type': 'spring'}, {
+        'reference.shape': 'triangle', 'reference.frequency': 4.0}, 1.5, 1000.0))
+    assert answer.correlation_delay_s < 0.05 and answer.reliable['correlation_delay_s']
