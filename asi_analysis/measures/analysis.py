@@ -194,8 +194,10 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
             # It was measured from the step response.
             reliable[name] = step.reliable.get('settling_time_2_s', True)
             if not reliable[name]:
-                figures[name] = None
-                notes.append('bandwidth: withheld, as the step response is')
+                marked = bool(step.rise_time_s)
+                figures[name] = figures[name] if marked else None
+                notes.append(f'bandwidth: {"doubtful" if marked else "withheld"}, as the step '
+                             'response is')
             continue
         reliable[name] = trusted.reliable
         if figures[name] is None:

@@ -312,12 +312,13 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = (name, 'reference')
     # In lost samples soon after the response has entered the band it may have left it again.
-    until = min(step.time_s + RETURNS * settled, end) if settled else end
-    # The last response of a recording that was cut may go on in the samples that it lacks.
-    moving = trust(found, run, signals, float(time[max(first - 1, 0)]), until,
-                   whole=until == time[-1])
+    # The last response of a recording that was cut goes on in the samples that it lacks, perhaps
+    # to another level.
+    last = ended == time[-1]
+    moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
+                   min(step.time_s + RETURNS * settled, end) if settled else end, whole=last)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), ended,
-                   LOST_SHARE, whole=ended == time[-1])
+                   LOST_SHARE, whole=last)
     # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)
     levels = trust([each for each in found if each.kind not in MARKING], run, signals, begin,

@@ -88,7 +88,11 @@ def of_controller(run: Run) -> ByController:
         if wrong.any():
             if _in_another_state(run, [(command, again)]):
                 return ByController(False, found or list(_of_rows(run)))
-            where = _interval(run, wrong)
+            # A saturated command does not show all samples of the force that were altered.
+            moved = moved_by(run, command)
+            others = [] if moved is None else list(_of_moved(run, moved))
+            (start, end), = _interval(run, wrong)
+            where = ((start, max([end, *(each.intervals_s[-1][1] for each in others)])),)
             return ByController(False, [*found, Finding(
                 'answer', 'time', DOUBTFUL, where,
                 'the command is not what the controller of this run computes from the recorded '
