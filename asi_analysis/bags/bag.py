@@ -113,10 +113,10 @@ def read_bag(path: str | Path) -> Run:
         warnings.warn(problem, InputWarning, stacklevel=2)
     run = assemble(series, changes, str(path), information)
     if count := missing_ticks(information, len(run)):
-        problems.append(f'{path}: {count} of the {len(run) + count} samples of this run are not '
-                        'in the recording: it was interrupted or cut')
-        warnings.warn(problems[-1], InputWarning, stacklevel=2)
-    return replace(run, problems=tuple(problems))
+        # The data quality tells it with the figures that it affects.
+        warnings.warn(f'{path}: {count} of the {len(run) + count} samples of this run are not in '
+                      'the recording: it was interrupted or cut', InputWarning, stacklevel=2)
+    return replace(run, problems=tuple(problems), lacking=count)
 
 
 def write_bag(run: Run, path: str | Path, information: Mapping[str, Any] | None = None) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 import zstandard
+from backports.zstd import ZstdError  # that of rosbags
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
@@ -34,7 +35,7 @@ from asi_analysis.errors import InputError
 from asi_common.jit import jit
 
 # What the libraries raise for damaged files.
-BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError,
+BROKEN: Final = (McapError, ReaderError, ValueError, struct.error, zstandard.ZstdError, ZstdError,
                  RuntimeError, KeyError, IndexError, TypeError, AssertionError, MemoryError,
                  OverflowError, EOFError, AttributeError, RecursionError, yaml.YAMLError,
                  apsw.Error)

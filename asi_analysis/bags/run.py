@@ -81,6 +81,7 @@ class Run:
     states: tuple[StateChange, ...] = ()
     pressure_pa: Array | None = None
     problems: tuple[str, ...] = ()      # sentences on what could not be read, or was lost
+    lacking: int = 0    # samples of a run in lock-step that its file does not hold
 
     def __post_init__(self) -> None:
         for name, values in self.signals().items():

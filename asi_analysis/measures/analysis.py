@@ -8,6 +8,7 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures import oscillation as measure
+from asi_analysis.measures.correlation import repetition
 from asi_analysis.measures.frequency_response import (
     Bandwidth,
     actuator_bandwidth,
@@ -174,6 +175,9 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
     start, end = float(run.time_s[0]), float(run.time_s[-1])
     notes: list[str] = []
     by_step = figures['bandwidth_method'] == 'step'
+    repeats_s = 0.0
+    if figures['correlation_delay_s'] is not None and run.reference_n is not None:
+        repeats_s = run.period_s * repetition(np.nan_to_num(run.reference_n))
     for name, words, signals in (
             ('bandwidth_hz', 'bandwidth', ('reference', measured)),
             ('actuator_bandwidth_hz', 'bandwidth from the command', ('command', measured)),
@@ -185,13 +189,15 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
             ('command_rms_n', 'command', ('command',)),
             ('impedance_real', 'impedance', ('force', 'velocity')),
             ('impedance_imaginary', 'impedance', ('force', 'velocity'))):
-        trusted = trust(found, run, signals, start, end, LOST_SHARE)
+        trusted = trust(found, run, signals, start, end, LOST_SHARE, whole=True)
         if by_step and name == 'bandwidth_hz':
             # It was measured from the step response.
             reliable[name] = step.reliable.get('settling_time_2_s', True)
             if not reliable[name]:
-                figures[name] = None
-                notes.append('bandwidth: withheld, as the step response is')
+                marked = bool(step.rise_time_s)
+                figures[name] = figures[name] if marked else None
+                notes.append(f'bandwidth: {"doubtful" if marked else "withheld"}, as the step '
+                             'response is')
             continue
         reliable[name] = trusted.reliable
         if figures[name] is None:
@@ -199,10 +205,19 @@ def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Seque
         if figures[name] < -run.period_s and 'delay' in name:
             reliable[name] = False
             notes.append(f'{words}: doubtful, the output precedes the reference')
+        if 'delay' in name and repeats_s and figures[name] > 0.5 * repeats_s:
+            reliable[name] = False
+            notes.append(f'{words}: doubtful, as the reference repeats after '
+                         f'{1e3 * repeats_s:.4g} ms: a shorter one fits too')
+        held = [each.text for each in found if each.kind == 'held' and each.signal in signals]
+        if held and 'delay' in name:
+            reliable[name] = False
+            notes.append(f'{words}: doubtful, as {held[0]}')
         notes += trusted.note(words)
         if trusted.withheld:
             figures[name] = None
-    trusted = trust(found, run, (measured, 'reference'), 0.5 * (start + end), end, LOST_SHARE)
+    trusted = trust(found, run, (measured, 'reference'), 0.5 * (start + end), end, LOST_SHARE,
+                    whole=True)
     reliable['oscillation'] = trusted.reliable
     notes += trusted.note('oscillation')
     if trusted.withheld:

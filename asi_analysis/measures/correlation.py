@@ -51,6 +51,18 @@ def clear_delay(input_: Array, output: Array) -> int:
     return 0
 
 
+def repetition(input_: Array) -> int:
+    """Return after how many samples an input repeats, up to half of them; 0 if it does not."""
+    lags, coefficient = _correlations(input_, input_)
+    own = coefficient[lags >= 0]
+    other = int(np.argmax(own < 0.5 * REPEATS))     # beyond what is still the same peak
+    again = np.flatnonzero(own[other:] > REPEATS) + other
+    if not (other and again.size):
+        return 0
+    first = again[:int(np.argmax(np.append(np.diff(again), 2) > 1)) + 1]    # of its first peak
+    return int(first[np.argmax(own[first])])
+
+
 def largest_correlation(a: Array, b: Array, longest: float = 0.5) -> tuple[float, float]:
     """
     Return the largest correlation coefficient over the lags of `b`, and its lag in samples.

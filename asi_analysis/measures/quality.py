@@ -17,7 +17,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.measures.checks.breaks import FEWEST, cut_off, is_continuous, spikes
 from asi_analysis.measures.checks.converter import missing_bit
 from asi_analysis.measures.checks.dead_time import only_repeats
-from asi_analysis.measures.checks.recomputed import of_controller
+from asi_analysis.measures.checks.recomputed import of_controller, unrecorded
 from asi_analysis.measures.checks.relations import moved_by, of_motion, of_reference
 from asi_analysis.measures.finding import (
     DOUBTFUL,
@@ -68,7 +68,9 @@ MOST_FILLED: Final = 10.0
 HELD: Final = 0.99
 FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # value of a signal: squares and sums of larger ones overflow
-LOSSES: Final = frozenset(('gap', 'missing'))
+LOSSES: Final = frozenset(('gap', 'missing', 'cut'))
+# Findings that mark a figure but do not withhold it: it is one of another, complete recording.
+MARKING: Final = LOSSES | {'absent', 'slow', 'still'}
 # Longest gap, in samples, over which a motion may be interpolated, and largest share of samples
 # that may be.
 BRIDGED: Final = 7
@@ -83,8 +85,9 @@ def findings(run: Run) -> list[Finding]:
     found = [*_of_time(run.time_s)]
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     found += _of_import(run)
+    found += unrecorded(run)
     if run.reference_n is not None and not USUAL_HZ[0] < run.rate_hz < USUAL_HZ[1]:
-        found.append(Finding('unit', 'time', NOTE, whole,
+        found.append(Finding('slow', 'time', DOUBTFUL, whole,
                              f'the samples of this control loop are {run.period_s:.4g} s apart: '
                              'is the unit of time, or the rate, right?'))
     for name, values in run.signals().items():
@@ -118,20 +121,22 @@ class Trust(NamedTuple):
 
 
 def trust(found: Sequence[Finding], run: Run, signals: Sequence[str], start_s: float,
-          end_s: float, lost_share: float = 0.0) -> Trust:
+          end_s: float, lost_share: float = 0.0, whole: bool = False) -> Trust:
     """
     Return the trust in a figure that is computed from these signals, start to end (s).
 
     It is doubtful if samples of that interval are lost, and withheld if more than `lost_share` of
-    the interval is lost, or for any other doubtful finding.
+    the interval is lost, or for any other doubtful finding but those of MARKING. whole: it is a
+    figure of the whole run, and so doubtful if the recording lacks its beginning or end.
     """
     relevant = [each for each in found
                 if each.severity == DOUBTFUL and each.signal in ('time', *signals)
-                and any(start <= end_s and end >= start_s for start, end in each.intervals_s)]
+                and (whole and each.kind == 'cut' or any(
+                    start <= end_s and end >= start_s for start, end in each.intervals_s))]
     lost_s = sum(min(end, end_s) - max(start, start_s) + run.period_s
                  for each in relevant if each.kind in LOSSES
                  for start, end in each.intervals_s if start <= end_s and end >= start_s)
-    withheld = (any(each.kind not in LOSSES for each in relevant)
+    withheld = (any(each.kind not in MARKING for each in relevant)
                 or lost_s > lost_share * (end_s - start_s))
     return Trust(not relevant, bool(relevant) and withheld,
                  '; '.join(each.text for each in relevant))
@@ -174,7 +179,7 @@ def doubts(runs: Sequence[Run], in_time: bool = True) -> list[str]:
     doubtful.
     """
     return [f'{run.source}: {each.text}' for run in runs if len(run) > 1
-            for each in findings(run) if each.severity == DOUBTFUL and (
+            for each in findings(run) if each.severity == DOUBTFUL and each.kind != 'absent' and (
                 each.kind not in LOSSES or in_time and _many_inside(run, each))]
 
 

@@ -16,7 +16,7 @@ from scipy import signal
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
-from asi_analysis.measures.quality import LOSSES, Finding, Trust, findings, trust, without_spikes
+from asi_analysis.measures.quality import MARKING, Finding, Trust, findings, trust, without_spikes
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
@@ -312,13 +312,17 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     settled = step.settling_time_2_s or step.settling_time_5_s
     signals = (name, 'reference')
     # In lost samples soon after the response has entered the band it may have left it again.
+    # The last response of a recording that was cut goes on in the samples that it lacks, perhaps
+    # to another level.
+    last = ended == time[-1]
     moving = trust(found, run, signals, float(time[max(first - 1, 0)]),
-                   min(step.time_s + RETURNS * settled, end) if settled else end)
+                   min(step.time_s + RETURNS * settled, end) if settled else end, whole=last)
     steady = trust(found, run, signals, end - STEADY_SHARE * (end - step.time_s), ended,
-                   LOST_SHARE)
+                   LOST_SHARE, whole=last)
     # Findings other than lost samples affect the levels, and so every figure.
     begin = step.time_s - STEADY_SHARE * (end - step.time_s)
-    levels = trust([each for each in found if each.kind not in LOSSES], run, signals, begin, ended)
+    levels = trust([each for each in found if each.kind not in MARKING], run, signals, begin,
+                   ended)
     if levels.withheld:
         moving = steady = levels
     resolution = float(np.diff(np.unique(run.signal(name)[first:])).min(initial=np.inf))

@@ -123,7 +123,8 @@ def _with_exported(run: Run, path: Path) -> Run:
                         'in the file')
     for problem in problems:
         warnings.warn(problem, InputWarning, stacklevel=3)
-    return replace(run, information=information, problems=tuple(imported.get('problems', ())))
+    return replace(run, information=information, lacking=count,
+                   problems=tuple(imported.get('problems', ())))
 
 
 def import_joints(path: str | Path, mapping: Sequence[str], rate_hz: float | None = None, *,

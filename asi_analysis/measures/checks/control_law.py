@@ -196,10 +196,16 @@ def delayed_signal(time: Array, command: Array, reference: Array, signal: Array
             found = control_law(time, *columns)
             # Of a controller that has the derivative of a signal, which later samples show
             # better, it is not exact.
+            # A reference without an effect fits at any delay.
             if found and found.exact and (name != 'reference' or found.factor == 1.0) and (
-                    abs(found.reference if name == 'reference' else found.signal) > 0.0):
+                    abs(found.reference) * _range(reference) > LEAST_FEEDBACK * _range(command)
+                    if name == 'reference' else abs(found.signal) > 0.0):
                 return name, int(lag)
     return '', 0
+
+
+def _range(values: Array) -> float:
+    return float(np.nanmax(values) - np.nanmin(values))
 
 
 def _likely_delays(change: Array, other: Array, most: int) -> list[int]:

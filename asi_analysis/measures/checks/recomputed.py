@@ -88,7 +88,11 @@ def of_controller(run: Run) -> ByController:
         if wrong.any():
             if _in_another_state(run, [(command, again)]):
                 return ByController(False, found or list(_of_rows(run)))
-            where = _interval(run, wrong)
+            # A saturated command does not show all samples of the force that were altered.
+            moved = moved_by(run, command)
+            others = [] if moved is None else list(_of_moved(run, moved))
+            (start, end), = _interval(run, wrong)
+            where = ((start, max([end, *(each.intervals_s[-1][1] for each in others)])),)
             return ByController(False, [*found, Finding(
                 'answer', 'time', DOUBTFUL, where,
                 'the command is not what the controller of this run computes from the recorded '
@@ -99,14 +103,37 @@ def of_controller(run: Run) -> ByController:
         found.append(Finding(
             'reading', 'time', NOTE, whole_run(run.time_s),
             'the recording lacks the command of its run: samples that were altered may not show'))
-    if run.reference_n is None and run.information.get('controller'):
-        found.append(Finding(
-            'reading', 'time', NOTE, whole_run(run.time_s),
-            'the recording lacks the reference of its run: figures are those of a loop without'))
     altered = [] if again is None or moved is None else list(_of_moved(run, moved))
     agrees = (again is not None and not altered and run.command_n is not None
               and bool(np.ptp(run.command_n) > 0.0))
     return ByController(agrees, found + altered)
+
+
+def unrecorded(run: Run) -> Iterator[Finding]:
+    """
+    Yield findings on what a run of this package had and its recording lacks.
+
+    The samples of a cut lie outside of the recording: 'cut' has the intervals where they may be.
+    """
+    if run.reference_n is None and run.information.get('controller'):
+        yield Finding(
+            'absent', 'reference', DOUBTFUL, whole_run(run.time_s),
+            'the recording lacks the reference of its run: figures are those of a loop without')
+    start, end = float(run.time_s[0]), float(run.time_s[-1])
+    rate_hz = _rate(run) or run.rate_hz
+    # Samples that are missing in between are gaps, or between each n-th.
+    inside = round(min(abs(end - start) * rate_hz, MOST_HZ)) + 1 - len(run)
+    lacking = run.lacking - max(inside, 0)
+    if lacking <= 0 or lacking < run.period_s * rate_hz - EVEN:
+        return
+    before, after = ((start - lacking / rate_hz, start - 1.0 / rate_hz),
+                     (end + 1.0 / rate_hz, end + lacking / rate_hz))
+    made = None if run.reference_n is None else generated(run, len(run))
+    from_start = made is not None and bool(np.allclose(run.signal('reference'), made, SHARE))
+    yield Finding(
+        'cut', 'time', DOUBTFUL, (after,) if from_start else (before, after),
+        f'{lacking} of the {len(run) + run.lacking} samples of this run are not in the recording, '
+        f'{"at its end" if from_start else "at its beginning or end"}: it was interrupted or cut')
 
 
 def _interval(run: Run, wrong: Mask) -> tuple[Interval, ...]:

@@ -168,7 +168,7 @@ def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | No
     others = any(_changes(each) for signal, each in run.signals().items()
                  if signal not in (name, 'reference', 'command'))
     if len(values) >= COPIED and span > 0.0 and moved == 0.0 and (commanded or others):
-        return Finding('frozen', name, NOTE, whole,
+        return Finding('still', name, DOUBTFUL, whole,
                        f'the {name_of(name)} does not change at all: is it measured?')
     away = float(np.median(np.abs(values - reference)))
     wanted = float(np.median(reference))
@@ -332,6 +332,8 @@ def _of_delay(run: Run, name: str) -> Iterator[Finding]:
     which, samples = delayed_signal(run.time_s, *signals)
     if which:
         signal, word = (name, words) if which == 'signal' else (which, which)
+        if which == 'command' and np.count_nonzero(np.diff(run.signal('reference'))) <= 1:
+            signal = 'time'     # it is as if the other two were early
         late = f'{1e3 * samples * run.period_s:.4g} ms'
         yield Finding('order', signal, DOUBTFUL, whole, (
             f'the command is recorded {late} after it responds to the {words}'

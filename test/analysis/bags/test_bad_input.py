@@ -196,11 +196,11 @@ def test_a_preview_of_a_damaged_compressed_bag_is_refused(tmp_path: Path) -> Non
     write_bag(a_run(), tmp_path / 'bag')
     as_sqlite(tmp_path / 'bag', tmp_path / 'sqlite', CompressionMode.FILE)
     file, = (tmp_path / 'sqlite').glob('*.zstd')
-    packed = bytearray(file.read_bytes())
-    packed[len(packed) // 2:len(packed) // 2 + 50] = bytes(50)
-    file.write_bytes(packed)
-    with pytest.raises(InputError, match='cannot be read|is damaged'):
-        preview(tmp_path / 'sqlite')
+    good = file.read_bytes()
+    for place in (20, len(good) // 3, len(good) // 2, len(good) - 60):
+        file.write_bytes(good[:place] + bytes(50) + good[place + 50:])
+        with pytest.raises(InputError, match='cannot be read|is damaged'):
+            preview(tmp_path / 'sqlite')
 
 
 @pytest.mark.parametrize('sql', [

@@ -160,6 +160,10 @@ def test_rows_without_numbers_are_missing_samples(version: str, dataset: Path, t
     folder = tmp_path / 'arm'
     shutil.copytree(dataset, folder)
     _damaged(folder, version, 'nulls')
+    if int(pa.__version__.partition('.')[0]) < 26:  # it does not read lists that are missing
+        with pytest.raises(InputError, match='cannot be read'):
+            import_recording(folder, MAP, episode=1)
+        return
     run = import_recording(folder, MAP, episode=1)
     assert np.isnan(run.reference_n).all() and np.isfinite(run.position_m).all()
 

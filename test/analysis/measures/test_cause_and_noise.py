@@ -121,7 +121,7 @@ def test_a_clipped_force_to_which_noise_was_added(compensator: str, sign: float)
 @pytest.mark.parametrize('factor', [1e3, 1e-3])
 def test_a_rate_that_no_control_loop_has_is_noted(factor: float, triangle: Run) -> None:
     finding, = findings(replace(triangle, time_s=factor * triangle.time_s))
-    assert (finding.kind, finding.signal, finding.severity) == ('unit', 'time', 'note')
+    assert (finding.kind, finding.signal, finding.severity) == ('slow', 'time', 'doubtful')
 
 
 def test_a_straight_line_of_few_digits_is_not_interpolated() -> None:

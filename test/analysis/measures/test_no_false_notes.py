@@ -1,6 +1,7 @@
 """Recordings of healthy machines of others: nothing is noted that is not true."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,3 +188,11 @@ def test_a_chirp_up_to_half_the_rate_has_no_spikes() -> None:
         spoilt = reference.copy()
         spoilt[place] = 1e4
         assert any(each.kind == 'spike' for each in findings(replace(run, reference_n=spoilt)))
+
+
+def test_a_step_among_late_states_is_not_a_late_reference() -> None:
+    """In real time a state that comes late has the command of the one before; recorded here."""
+    time, reference, command, force = np.loadtxt(
+        Path(__file__).with_name('late_states.csv.gz'), delimiter=',', skiprows=1).T
+    run = Run(time, reference, command, force)
+    assert [each.kind for each in findings(run)] == ['gap']

@@ -110,7 +110,8 @@ def test_a_run_of_this_package_without_its_reference_is_told() -> None:
     run = with_command()
     assert findings(run) == []
     note, = findings(replace(run, reference_n=None))
-    assert note.kind == 'reading' and 'lacks the reference' in note.text
+    assert (note.kind, note.signal) == ('absent', 'reference')
+    assert 'lacks the reference' in note.text
 
 
 def test_every_second_cell_empty() -> None:
@@ -140,8 +141,7 @@ def test_a_gap_far_from_the_step_leaves_its_figures() -> None:
     lambda f: f + 0.5 * np.random.default_rng(3).normal(size=f.size),       # noisy
     lambda f: 100.0 * np.sin(0.4 * np.arange(f.size)),                      # a limit cycle
     lambda f: np.round(f, 1),                                               # 1000 levels
-    lambda f: np.repeat(f[::4], 4),                                         # held
-    lambda f: np.zeros_like(f)])                                            # nothing at all
+    lambda f: np.repeat(f[::4], 4)])                                        # held
 def test_what_is_only_unusual_is_not_accused(change: Callable[[np.ndarray], np.ndarray]) -> None:
     assert [each for each in findings(with_force(a_run(), change))
             if each.severity == 'doubtful'] == []
@@ -217,14 +217,16 @@ def test_many_dropouts_to_one_value_are_spikes(filler: float) -> None:
 
 
 @pytest.mark.parametrize(('kind', 'change'), [
-    ('frozen', lambda f: np.full(len(f), 3.0)), ('unit', lambda f: f - 3.0e4),
+    ('still', lambda f: np.full(len(f), 3.0)), ('still', lambda f: 0.0 * f),
+    ('unit', lambda f: f - 3.0e4),
     ('frozen', lambda f: put(f, slice(STEP + 20, None), 0.0))])
 def test_an_output_that_was_not_measured_is_found(
         kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     run = with_force(a_run(), change)
     finding, = findings(run)
     assert finding.kind == kind
-    assert analyze(run).steady_state_error_n is None or finding.severity == 'note'
+    assert not analyze(run).reliable['steady_state_error_n']
+    assert not analyze(run).reliable['tracking_error_rms_n']
     # Where nothing is commanded, nothing moves.
     assert findings(replace(with_force(run, lambda f: 0.0 * f), command_n=0.0 * run.time_s)) == []
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.loop.in_process import simulate
+from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.quality import findings
 
 # Of each command: its words, and the part of its answer that is not reliable.
@@ -115,3 +117,75 @@ def test_a_parquet_file_hands_on_what_an_import_left_out(tmp_path: Path) -> None
     imported = import_recording(tmp_path / 'log.parquet', []).information['imported']
     assert imported['repeated_times_s'] == [0.001]
     assert len(imported['problems']) == 1
+
+
+@pytest.mark.parametrize('part', [slice(400), slice(65), slice(20, None), slice(None)])
+def test_figures_of_the_samples_that_a_cut_bag_lacks_are_doubtful(
+        part: slice, tmp_path: Path) -> None:
+    run = simulate({'force_sensor.noise': 0.1}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0},
+        0.6, 1000.0)
+    write_bag(run[part], tmp_path / 'cut')
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', InputWarning)
+        answer = analyze(read_bag(tmp_path / 'cut'))
+    whole = part == slice(None)
+    assert [each['kind'] for each in answer.quality] == ([] if whole else ['cut'])
+    for figure in ('rise_time_s', 'steady_state_error_n', 'bandwidth_hz', 'tracking_error_rms_n',
+                   'command_rms_n', 'oscillation'):
+        assert answer.reliable[figure] is whole
+        assert answer[figure] is not None   # it is marked, as that of a shorter run
+    if part.start is None:
+        assert all(each['intervals'][0]['start_s'] > run.time_s[part][-1]
+                   for each in answer.quality)
+
+
+def test_a_step_before_the_last_one_of_a_bag_that_was_cut_is_reliable(tmp_path: Path) -> None:
+    run = simulate({'force_sensor.noise': 0.1}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        'reference.end': 0.3}, 0.8, 1000.0)
+    write_bag(run[:600], tmp_path / 'cut')
+    with pytest.warns(InputWarning, match='200 of the 800'):
+        answer = analyze(read_bag(tmp_path / 'cut'))
+    assert answer.reliable['rise_time_s'] and answer.reliable['steady_state_error_n']
+    assert not answer.reliable['tracking_error_rms_n']
+
+
+def test_a_force_altered_while_the_command_is_saturated_is_doubtful_to_its_end() -> None:
+    run = simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
+        'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,
+        'saturation': 110.0}, 0.6, 1000.0)
+    hum = 10.0 * np.sin(2.0 * np.pi * 50.0 * run.time_s)
+    answer = analyze(replace(run, force_n=run.signal('force') + hum))
+    assert not answer.reliable['oscillation']
+    assert answer.quality[0]['intervals'][0]['end_s'] > 0.59
+
+
+def test_a_bag_without_its_reference_marks_the_oscillation() -> None:
+    """With a reference the oscillation that it forces is taken out."""
+    run = simulate({'load.type': 'spring'}, {
+        'reference.shape': 'sine', 'reference.frequency': 10.0}, 1.0, 1000.0)
+    answer = analyze(replace(run, reference_n=None))
+    assert answer.oscillation['sustained'] and not answer.reliable['oscillation']
+    assert not analyze(run).oscillation['sustained'] and analyze(run).reliable['oscillation']
+
+
+def test_a_delay_is_doubtful_if_the_signal_is_held_between_its_samples() -> None:
+    run = replace(simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
+        'reference.shape': 'multisine'}, 1.0, 1000.0), information={}, command_n=None)
+    held = replace(run, force_n=np.repeat(run.signal('force')[::4], 4))
+    for each, reliable in ((run, True), (held, False)):
+        answer = analyze(each)
+        assert answer.correlation_delay_s and answer.delay_s
+        assert answer.reliable['correlation_delay_s'] is answer.reliable['delay_s'] is reliable
+
+
+def test_a_delay_of_more_than_half_a_repetition_of_the_reference_is_doubtful() -> None:
+    """The force of a free piston leads: it was said to be almost 2 periods of a triangle late."""
+    free = analyze(simulate({'load.type': 'free'}, {
+        'compensator': 'lead_lag', 'reference.shape': 'triangle', 'reference.amplitude': 60.0,
+        'reference.frequency': 4.0}, 1.5, 1000.0))
+    assert free.correlation_delay_s > 0.125 and not free.reliable['correlation_delay_s']
+    answer = analyze(simulate({'load.type': 'spring'}, {
+        'reference.shape': 'triangle', 'reference.frequency': 4.0}, 1.5, 1000.0))
+    assert answer.correlation_delay_s < 0.05 and answer.reliable['correlation_delay_s']

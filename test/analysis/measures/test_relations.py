@@ -183,7 +183,7 @@ def test_a_force_that_rests_while_the_piston_moves_is_marked() -> None:
     """Also if the command is lost, too; all of a loop that is switched off may rest."""
     rests = replace(a_loop(), force_n=np.ones(1000), command_n=np.ones(1000))
     finding, = findings(rests)
-    assert (finding.kind, finding.signal) == ('frozen', 'force')
+    assert (finding.kind, finding.signal) == ('still', 'force')
     assert findings(replace(rests, position_m=None, velocity_m_s=None,
                             valve_position_m=None)) == []
 
@@ -512,7 +512,7 @@ def test_a_bag_that_was_cut_at_its_beginning_is_not_called_altered(tmp_path: Pat
     with pytest.warns(UserWarning, match='20 of the 600 samples of this run are not in the reco'):
         cut = asi.read_bag(tmp_path / 'cut')
     found = findings(cut)
-    assert [each.kind for each in found] == ['reading'], found
+    assert [each.kind for each in found] == ['cut'], found
     altered = with_force(run, lambda f: put(f, slice(300, 302), 0.0))
     assert 'answer' in {each.kind for each in findings(altered)}
 
@@ -640,7 +640,8 @@ def test_milliseconds_that_are_read_as_seconds_are_a_slower_loop() -> None:
     run = a_loop()
     slow = replace(run, time_s=1e3 * run.time_s, position_m=None, velocity_m_s=None)
     assert [(each.kind, each.signal, each.severity) for each in findings(slow)] == [
-        ('unit', 'time', 'note')]
+        ('slow', 'time', 'doubtful')]
+    assert analyze(slow).reliable['rise_time_s'] is False
     fast, slower = ((each.reference, each.signal) for each in map(law_of, (run, slow))
                     if each is not None)
     assert fast == pytest.approx(slower)
