@@ -31,6 +31,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
     LEAST_RESIDUAL,
+    NOISE_SHARE,
     OWN_MODEL,
     SERVO,
     Evidence,
@@ -80,9 +81,9 @@ IMPLAUSIBLE_SHARE = 0.4
 # Fields of delays and lags, of a servo or of the drive of a joint.
 DELAYS_AND_LAGS = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
-# Of a servo: if a fit leaves at most QUIET_RATIO times the noise variance, the model error is
-# small, and the error floor is the residual of that fit times FLOOR_MARGIN (mean squares).
-QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
+# Of a joint: if a fit leaves at most this multiple of the noise variance, the model error is what
+# it leaves beyond the noise, and the error floor allows for as much again.
+QUIET_RATIO = 9.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
@@ -320,13 +321,16 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
             residual[names][channel] = max(
                 residual[names][channel] - min(max(above, min(ends)), max(ends)),
                 LEAST_RESIDUAL * residual[names][channel])
-    floor = group.error_floor
+    floor, formulation = group.error_floor, group.formulation
     least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
     if group.floor_by_best and all(least[name] < QUIET_RATIO * noise[name] for name in floor):
-        floor = {name: min(level, FLOOR_MARGIN * max(noise[name], least[name]))
+        noise = {name: min(level, least[name]) for name, level in noise.items()}
+        error = {name: least[name] - level for name, level in noise.items()}
+        floor = {name: min(level, least[name] + max(error[name], NOISE_SHARE * noise[name]))
                  for name, level in floor.items()}
+        formulation = {name: min(level, error[name]) for name, level in formulation.items()}
     return Evidence(
-        noise, floor, group.formulation,
+        noise, floor, formulation,
         independent_samples(group, best.fitted.record), group.held_out_s, residual,
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})

@@ -32,7 +32,6 @@ from asi_analysis.gap.model.model_file import joint_fields
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
 from asi_analysis.gap.model.servo import (
-    LAG_SPLIT,
     Servo,
     error_of,
     second_order,
@@ -285,10 +284,9 @@ def stepping(steps: Steps) -> Variant:
 
 def _near(free: Free, servos: Sequence[Servo]) -> Free:
     """Return a free delay or lag with further initial guesses: those identified with a servo."""
-    own = {'command_delay': 'delay', 'valve_lag': 'lag'}.get(free.field, '')
+    own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
+        free.field, '')
     guess = [getattr(each, own) for each in servos if own and not each.limited]
-    if free.field == 'valve_lag_split' and any(each.lag for each in servos):
-        guess = [LAG_SPLIT]
     return free._replace(starts=(*filter(None, guess), *free.starts))
 
 
