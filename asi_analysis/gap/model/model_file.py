@@ -39,7 +39,8 @@ DIRECT: Final = {
 # Fields that `improved` turns into parameters, and those of a shape only.
 TURNED: Final = frozenset({
     *DIRECT, 'command_phase', 'command_truncated', 'loop_width', 'loop_share', 'loop_spread',
-    'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening', 'friction_level',
+    'loop_behind', 'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening',
+    'friction_level',
     'friction_asymmetry', 'friction_breakaway', 'friction_stribeck', 'friction_bristle',
     'friction_rounding', 'friction_inside', 'friction_falling', 'friction_creep',
     'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating', 'compliance',

@@ -181,6 +181,11 @@ def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
     return left if left < ALMOST * noise else math.inf
 
 
+def hidden_servo(slow: Servo) -> Servo:
+    """Return a servo of second order as late as one of first order that was fitted."""
+    return Servo(2.0 * DAMPING / (slow.delay + 2.0 * slow.damping / slow.pulsation), DAMPING)
+
+
 def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     """
     Return servos of second order: with a delay, a lag of one pole, of two; the best one first.
