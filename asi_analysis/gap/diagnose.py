@@ -386,11 +386,11 @@ def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the answer as `asi gap --json` prints it; plain data."""
     chance = marginals(diagnosis.joined)
-    # The effects of the verdict first; if they are as probable, by that of each alone.
+    # The effects of the verdict first, by their probability as single effects.
     alone = {name: max(w.probability.get((name,), 0.0) for w in diagnosis.groups)
              for name in chance}
     listed = [name for name in sorted(chance.keys() - {NO_GAP, UNKNOWN}, key=lambda n: (
-        n not in diagnosis.verdict, -round(chance[n], 2), -alone[n], -chance[n], n))
+        n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n], n))
         if chance[name] > 0.001]
     sizes = _sizes(diagnosis, listed)
     which = [{'effect': name, 'block': block_of(name), 'probability': chance[name], **sizes[name]}

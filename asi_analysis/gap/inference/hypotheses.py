@@ -33,7 +33,7 @@ from asi_analysis.gap.inference.probability import (
     LEAST_RESIDUAL,
     NOISE_SHARE,
     OWN_MODEL,
-    QUIET,
+    SERVO,
     Evidence,
     Names,
     join_probabilities,
@@ -313,7 +313,7 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     constants = CONSTANTS   # with a baseline, too: the model error is measured then
     if group.channels == ('static',) or group.floor_by_best:
         quiet = evidence.error_floor != group.error_floor
-        constants = QUIET if quiet else OWN_MODEL
+        constants = SERVO if quiet and group.channels == ('valve',) else OWN_MODEL
     return Weighed(group, effective, probabilities(evidence, constants))
 
 

@@ -53,8 +53,8 @@ class Constants(NamedTuple):
 CONSTANTS = Constants()
 # Of a joint or a static characteristic; tuned on seeds 310050 to 310143 of blind joints.
 OWN_MODEL = CONSTANTS._replace(unknown_offset=-3.0)
-# Of a joint of which a fit leaves hardly more than noise: formulation errors are small.
-QUIET = OWN_MODEL._replace(exact=0.005, formulation=0.01)
+# Of a servo: its output is measured directly, so that formulation errors are small.
+SERVO = OWN_MODEL._replace(exact=0.005, formulation=0.01)
 # Of the simulator, whose error floor is little more than the noise.
 SIMULATOR = CONSTANTS._replace(unknown_offset=-1.4)
 # A machine that obeys other laws than the simulator's, and on which no effect is found, has none,
