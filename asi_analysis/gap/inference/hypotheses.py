@@ -110,7 +110,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                          if channels_of(variant, group) and not variant.joined]
         for effect in group.effects}
     found |= _fit_best_screened(group, null, choices, SINGLES, tick)
-    found |= refitted_from_related(group, null, found)
+    found |= refitted_from_related(group, found)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:NULL_RESTARTS]])

@@ -7,7 +7,7 @@ Effects that act alike make local minima: where one of them has found its way, a
 import itertools
 from typing import NamedTuple
 
-from asi_analysis.gap.inference.fit import Fitted, fit_subset, refit
+from asi_analysis.gap.inference.fit import Fitted, refit
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import Group
@@ -15,7 +15,6 @@ from asi_analysis.parallel import in_threads
 
 # Fields of delays and lags, of a servo or of the drive of a joint.
 DELAYS_AND_LAGS = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
-EVEN, UNEVEN = ('coulomb_friction',), ('friction_asymmetry',)
 
 
 class Candidate(NamedTuple):
@@ -26,7 +25,7 @@ class Candidate(NamedTuple):
     fitted: Fitted
 
 
-def refitted_from_related(group: Group, null: Fitted, found: dict[Names, Candidate]
+def refitted_from_related(group: Group, found: dict[Names, Candidate]
                           ) -> dict[Names, Candidate]:
     """
     Return effects that fit worse than another one with a common parameter, refitted from that.
@@ -43,8 +42,7 @@ def refitted_from_related(group: Group, null: Fitted, found: dict[Names, Candida
             fitted=refit(group, candidate.fitted, [related.fitted]))
 
     better = {each.names: each for each in in_threads(from_related, found.values())}
-    found = found | better
-    return better | _refitted_delays(group, found) | _from_even_friction(group, null, found)
+    return better | _refitted_delays(group, found)
 
 
 def _refitted_delays(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
@@ -66,28 +64,3 @@ def _refitted_delays(group: Group, found: dict[Names, Candidate]) -> dict[Names,
             again = rival.fitted._replace(record=p)
             better[late[field]] = own._replace(fitted=refit(group, own.fitted, [again]))
     return better
-
-
-def _from_even_friction(group: Group, null: Fitted, found: dict[Names, Candidate]
-                        ) -> dict[Names, Candidate]:
-    """
-    Return asymmetric friction fitted from even friction, whose constant load is the asymmetry.
-
-    Of a joint: both act alike but near reversals, so a fit hardly finds from one to the other.
-    """
-    effect = next((each for each in group.effects if (each.name,) == UNEVEN), None)
-    if EVEN not in found or effect is None or 'load_offset' not in {f.field for f in null.free}:
-        return {}
-    even, best = found[EVEN], found.get(UNEVEN)
-    p = even.fitted.record.copy()
-    p['friction_asymmetry'] = p['load_offset'] / max(p['friction_level'], 1e-300)
-    p['load_offset'] = 0.0
-    alike = {free.field for variant in even.variants for free in variant.free}
-    for variant in (each for each in effect.variants if not each.joined):
-        bounds = {free.field: (free.low, free.high) for free in variant.free}
-        same_way = p['friction_asymmetry'] * sum(bounds.get('friction_asymmetry', (0.0,))) > 0.0
-        if same_way and bounds.keys() - {'friction_asymmetry', 'load_offset'} == alike:
-            fitted = fit_subset(group, null, (variant,), even.fitted._replace(record=p))
-            if best is None or fitted.cost < best.fitted.cost:
-                best = Candidate(UNEVEN, (variant,), fitted)
-    return {UNEVEN: best} if best is not None else {}

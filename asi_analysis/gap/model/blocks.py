@@ -75,7 +75,6 @@ EFFECT_FIELDS = (
     'friction_bristle',         # m, deflection of the seals at breakaway
     'friction_rounding',        # 0: one slip element; 0.5: spread elements; 1: Dahl's bristle
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
-    'friction_creep',           # m/s, velocity that develops it; 0: a displacement does (bristle)
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
     'viscous',                  # N s/m, at velocity_scale
     'viscous_exponent',         # of the velocity
@@ -307,7 +306,11 @@ def slide(elements, reach, moved, velocity, e):
     slide; the last element is a bristle of Dahl. The breakaway force falls to sliding friction
     over the Stribeck velocity.
     """
-    rise = raised(velocity, e)
+    rise = 1.0
+    if e.friction_breakaway > 0.0:
+        relative = abs(velocity) / e.friction_stribeck
+        if relative < 20.0:
+            rise += e.friction_breakaway * math.exp(-relative ** e.friction_falling)
     share = 0.0
     for i in range(PLAYS):
         elements[i] = min(max(elements[i] + moved / reach[i], -1.0), 1.0)
@@ -320,42 +323,6 @@ def slide(elements, reach, moved, velocity, e):
         share += bristled * (elements[PLAYS] - share)
     uneven = 1.0 + e.friction_asymmetry if share >= 0.0 else 1.0 - e.friction_asymmetry
     return e.friction_level * uneven * rise * share
-
-
-@jit
-def raised(velocity, e):
-    """Return the friction of the effects at a velocity (m/s) over that of fast sliding."""
-    if e.friction_breakaway > 0.0:
-        relative = abs(velocity) / e.friction_stribeck
-        if relative < 20.0:
-            return 1.0 + e.friction_breakaway * math.exp(-relative ** e.friction_falling)
-    return 1.0
-
-
-@jit
-def creeping(first, last, e):
-    """
-    Return the mean friction (N) while the velocity (m/s) goes from a first to a last value.
-
-    It is a smooth function of the velocity, tanh(velocity / friction_creep). A reversal may be
-    shorter than a sample; the mean depends on its time, a sample of it hardly.
-    """
-    middle, change = 0.5 * (first + last), last - first
-    if abs(change) < 1e-3 * e.friction_creep:
-        share = math.tanh(middle / e.friction_creep)
-        share += e.friction_asymmetry * abs(share)
-    else:
-        share = (developed(last, e) - developed(first, e)) / change
-    return e.friction_level * raised(middle, e) * share
-
-
-@jit
-def developed(velocity, e):
-    """Return the integral of a creeping friction, over its level, from 0 to a velocity (m/s)."""
-    relative = abs(velocity) / e.friction_creep
-    integral = relative + math.log1p(math.exp(-2.0 * relative)) - math.log(2.0)
-    return e.friction_creep * integral * (
-        1.0 + math.copysign(1.0, velocity) * e.friction_asymmetry)
 
 
 @jit
@@ -615,10 +582,7 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
             left, before = x, x
         total = e.load_offset - e.disturbance
         if e.friction_inside < 0.5:
-            if e.friction_level > 0.0 and e.friction_creep > 0.0:
-                first, last = velocity[max(k - 1, 0)], velocity[min(k + 1, velocity.size - 1)]
-                total += creeping(0.5 * (first + v), 0.5 * (v + last), e)
-            elif e.friction_level > 0.0:
+            if e.friction_level > 0.0:
                 total += slide(elements, reach, x - before, v, e)
             total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
         if e.backlash > 0.0:

@@ -462,7 +462,7 @@ def _channels_by_field() -> dict[str, set[str]]:
                                   'drive_lag_split': {'load'},
                                   'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
                                   'swing_cosine': {'load'}, 'swing_sine': {'load'},
-                                  'damping_share': {'load'}, 'friction_creep': {'load'},
+                                  'damping_share': {'load'},
                                   'contact_time': {'load'}, 'load_weight': {'load'},
                                   'command_phase': {'valve'}, 'corner': {'valve', 'force'}}
     for channel, names in UNCERTAIN.items():

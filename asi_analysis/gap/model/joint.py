@@ -414,14 +414,6 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
              # A slower response is that of a compliant load, not of a force sensor.
              'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
 
-    creep = Free('friction_creep', 1e-4, 0.5, (0.003, 0.03), 'velocity', 'm/s')
-
-    def creeping(variant: Variant) -> list[Variant]:
-        held = [free for free in variant.free
-                if free.field not in ('friction_bristle', 'friction_rounding')]
-        return [variant._replace(free=(*held, creep))] * (len(held) + 2 == len(variant.free)
-                                                          and not variant.joined)
-
     def applies(variant: Variant) -> bool:
         fields = {free.field for free in variant.free}
         return 'load' in variant.channels and not fields <= covered
@@ -437,8 +429,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     effects = [effect._replace(variants=variants) for effect in EFFECTS
                if (variants := tuple(
                    form for v in effect.variants if applies(v) for form in (
-                       rattling if ('backlash_floating', 1.0) in v.fixed else
-                       (scaled(v), *creeping(scaled(v))))))]
+                       rattling if ('backlash_floating', 1.0) in v.fixed else (scaled(v),))))]
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}

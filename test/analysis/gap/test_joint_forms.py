@@ -1,4 +1,4 @@
-"""Forms of a joint's effects, alone: friction that creeps, lost motion, a servo with a lag."""
+"""Forms of a joint's effects, alone: lost motion, a servo with a lag."""
 
 import numpy as np
 import pytest
@@ -13,16 +13,6 @@ from asi_analysis.gap.prepare import prepare
 PERIOD_S = 0.004
 TIME_S = PERIOD_S * np.arange(1500)
 REFERENCE = sum(np.sin(2.0 * np.pi * f * TIME_S + f) for f in (0.3, 0.9, 1.7, 3.1))
-
-
-@pytest.mark.parametrize(('first', 'last'), [(-0.5, 0.2), (0.02, 0.3), (0.01, 0.010001)])
-def test_creeping_friction_is_the_mean_over_a_sample(first, last):
-    p = plant_record({})
-    p['friction_level'], p['friction_asymmetry'], p['friction_creep'] = 2.0, -0.6, 0.03
-    velocity = np.linspace(first, last, 200_001)
-    rub = np.tanh(velocity / 0.03)
-    assert blocks.creeping(first, last, blocks.parts(p)[1]) == pytest.approx(
-        np.mean(2.0 * (rub - 0.6 * np.abs(rub))), rel=1e-4)
 
 
 def test_lost_motion_is_behind_the_servo():
