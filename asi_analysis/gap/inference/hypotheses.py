@@ -81,8 +81,9 @@ PARAMETER_PRICE = 0.003   # share of the cost by which a further parameter must 
 IMPLAUSIBLE_SHARE = 0.4
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # Of a joint: if a fit leaves at most this multiple of the noise variance, the model error is what
-# it leaves beyond the noise, and the error floor allows for as much again.
-QUIET_RATIO = 9.0
+# it leaves beyond the noise, and the error floor allows for as much again. Of a joint that is
+# driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
+QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
@@ -275,9 +276,13 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     floor, formulation = group.error_floor, group.formulation
     least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
     if group.floor_by_best and all(least[name] < QUIET_RATIO * noise[name] for name in floor):
-        noise = {name: min(level, least[name]) for name, level in noise.items()}
-        error = {name: least[name] - level for name, level in noise.items()}
-        floor = {name: min(level, least[name] + max(error[name], NOISE_SHARE * noise[name]))
+        margin = FLOOR_MARGIN
+        if group.channels == ('valve',):   # measured directly: all that is left is known
+            noise = {name: min(level, least[name]) for name, level in noise.items()}
+            margin = 1.0 + NOISE_SHARE
+        error = {name: max(least[name] - level, 0.0) for name, level in noise.items()}
+        floor = {name: min(level, max(margin * max(noise[name], least[name]),
+                                      least[name] + error[name]))
                  for name, level in floor.items()}
         formulation = {name: min(level, error[name]) for name, level in formulation.items()}
     return Evidence(
