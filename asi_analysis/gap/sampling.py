@@ -122,3 +122,21 @@ def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
     plain, careful = (np.convolve(out, about)[about.size // 2:][:count] < 0.5
                       for out in (far, far | jumps))
     return careful if careful.mean() > 1.0 - MOST_JUMPED else plain
+
+
+def independent(residual: Array, used: Array) -> float:
+    """
+    Return the effective sample size of a residual: of n samples, those with used = 1, else 0.
+
+    The number of samples divided by the sum of the autocorrelation, which is truncated where the
+    sum of two neighbours is no longer positive (Geyer 1992, initial positive sequence).
+    """
+    if not used.any():
+        return 0.0
+    size = 2 * residual.size
+    products = np.fft.irfft(np.abs(np.fft.rfft(residual * used, size)) ** 2)[:residual.size]
+    pairs = np.fft.irfft(np.abs(np.fft.rfft(used, size)) ** 2)[:residual.size]
+    correlation = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
+    pairs_sum = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
+    ends = int(np.argmax(np.append(pairs_sum, -1.0) <= 0.0))
+    return float(used.sum()) / (1.0 + 2.0 * float(pairs_sum[:ends].sum()))

@@ -23,6 +23,7 @@ from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
 
 STEP = 1e-3          # of a parameter's range, for finite differences
@@ -45,7 +46,7 @@ class Fitted(NamedTuple):
     record: np.void
     free: tuple[Free, ...]
     theta: Array
-    cost: float                  # on the fitted parts, in units of the error floor
+    cost: float                  # on the fitted parts, in units of `Group.fit_unit`
     held_out: Values             # mean square residual on the held-out parts, by channel
     problem: 'Problem'
 
@@ -71,10 +72,10 @@ class Fitted(NamedTuple):
 
 
 def _residual(group: Group, channel: str, p: np.void) -> Array:
-    """Return the residual of a channel on the fitted parts, divided by the rms error floor."""
+    """Return the residual of a channel on the fitted parts, divided by its rms unit."""
     parts = [(measured(recording, channel) - predict(recording, channel, p))[recording.fit]
              for recording in group.recordings if recording.fit.any()]
-    return np.concatenate(parts) / math.sqrt(group.error_floor[channel])
+    return np.concatenate(parts) / math.sqrt(group.fit_unit(channel))
 
 
 def _unit(free: Free, group: Group, p: np.void) -> float:
@@ -153,26 +154,11 @@ def independent_samples(group: Group, p: np.void, of: str = 'held_out') -> Value
     """
     Return the effective sample size of the residual on a part of the data, by channel.
 
-    The number of samples divided by the sum of the autocorrelation, which is truncated where the
-    sum of two neighbours is no longer positive (Geyer 1992, initial positive sequence). of: a
-    mask of the recording: 'fit', 'held_out' or 'known'.
+    of: a mask of the recording: 'fit', 'held_out' or 'known'.
     """
-    counts = {}
-    for channel in group.channels:
-        counts[channel] = 0.0
-        for recording in group.recordings:
-            used = getattr(recording, of).astype(float)
-            if not used.any():
-                continue
-            residual = judged_error(recording, channel, p) * used
-            size = 2 * residual.size
-            products = np.fft.irfft(np.abs(np.fft.rfft(residual, size)) ** 2)[:residual.size]
-            pairs = np.fft.irfft(np.abs(np.fft.rfft(used, size)) ** 2)[:residual.size]
-            correlation = products / np.maximum(pairs, 1.0) * pairs[0] / max(products[0], 1e-300)
-            pairs_sum = correlation[1:residual.size // 8 * 2 + 1].reshape(-1, 2).sum(axis=1)
-            ends = int(np.argmax(np.append(pairs_sum, -1.0) <= 0.0))
-            counts[channel] += used.sum() / (1.0 + 2.0 * float(pairs_sum[:ends].sum()))
-    return counts
+    return {channel: sum(independent(judged_error(recording, channel, p),
+                                     getattr(recording, of).astype(float))
+                         for recording in group.recordings) for channel in group.channels}
 
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
@@ -393,20 +379,22 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     Return an approximate fit of one variant each of one or more effects.
 
     The fit of `screen` is the start, extended by the parameters of the variants. The columns of
-    its Jacobian are used again, since they change little. followed: number of the best starts
-    that are fitted.
+    its Jacobian are used again, since they change little, but not if the fit also begins at
+    distant initial guesses. followed: number of the best starts that are fitted.
     """
     problem, starts = _extended_problem(group, screen.base, variants)
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
+    # The parameters of the variants may have other bounds, so their columns differ.
+    own = {free.field for variant in variants for free in variant.free}
+    known = {name: column for name, column in screen.derivatives.items() if name not in own}
+    rounds = ROUNDS
     if places:   # distant initial guesses: the best start at each of them is fitted
+        known, rounds = {}, 3 * ROUNDS
         count, followed = len(starts) // (places + 1), places + 1
         groups = [starts[:count]] + [starts[count + n::places] for n in range(places)]
         starts = [min(each, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
                   for each in groups]
-    # The parameters of the variants may have other bounds, so their columns differ.
-    own = {free.field for variant in variants for free in variant.free}
-    known = {name: column for name, column in screen.derivatives.items() if name not in own}
-    return fit(group, problem.free, starts, problem.fixed, known=known, followed=followed)
+    return fit(group, problem.free, starts, problem.fixed, rounds, known, followed)
 
 
 def polish(group: Group, fitted: Fitted) -> Fitted:

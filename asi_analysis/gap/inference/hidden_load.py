@@ -1,4 +1,4 @@
-"""Gravity or a spring of a joint that is found only together with an effect."""
+"""Gravity or a spring of a joint, or a servo's order, found only together with an effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -8,36 +8,41 @@ from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.gravity import ACCEPTED_RESIDUAL
 from asi_analysis.gap.model.group import Group, with_tolerances
 
+ABOVE_NOISE = 1.5   # multiple of the noise variance below which a servo is explained
+
 
 def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence[Group], object]],
                      tolerances: Mapping[str, float], tick: Callable[[], None]
                      ) -> tuple[list[Weighed], list[str]]:
     """
-    Return the groups of a joint, with gravity or a spring in every fit if needed; and notes.
+    Return the groups of a joint with what was hidden in every fit, if needed; and notes.
 
-    It is needed if no effect explains the gap without it, one does with it, and the residual
-    power is then below ACCEPTED_RESIDUAL of that before. weighed: without it; groups: returns
-    those with it; tolerances: by field.
+    Gravity or a spring; of a servo, its second order. It is needed if no effect explains the gap
+    without it, one does with it, and the residual power is then below ACCEPTED_RESIDUAL of that
+    before. weighed: without it; groups: returns those with it; tolerances: by field.
     """
-    without = weighed[-1]
-    if without.group.channels != ('load',):
+    without = weighed[-1].group
+    channel = without.channels[-1]
+    servo = without.floor_by_best and without.channels == ('valve',)
+    if without.channels != ('load',) and not servo:
         return weighed, []
-    left = _best(without).fitted.held_out['load']
-    if left < without.group.error_floor['load']:
+    left = _best(weighed[-1]).fitted.held_out[channel]
+    if left < (ABOVE_NOISE * without.noise[channel] ** 2 if servo else
+               without.error_floor[channel]):
         return weighed, []
     group = with_tolerances(groups()[0][-1], tolerances)
-    if len(group.nuisance) == len(without.group.nuisance):
+    if len(group.nuisance) == len(without.nuisance):
         return weighed, []
     refitted, = weigh_groups([group], tick)
     best = _best(refitted)
-    share = best.fitted.held_out['load'] / left
+    share = best.fitted.held_out[channel] / left
     unknown = marginals(refitted.probability)[UNKNOWN] > 0.5
     if not best.names or share > ACCEPTED_RESIDUAL or unknown:
         return weighed, []
-    turns = 'gravity_sine' in best.fitted.values
-    return [*weighed[:-1], refitted], [
-        f'the joint {"has gravity" if turns else "is held by a spring"}, which shows beside an '
-        f'effect only: it leaves {100.0 * share:.2g} % of what that leaves without']
+    what = ('the servo is of second order' if servo else 'the joint has gravity'
+            if 'gravity_sine' in best.fitted.values else 'the joint is held by a spring')
+    return [*weighed[:-1], refitted], [f'{what}, which shows beside an effect only: it leaves '
+                                       f'{100.0 * share:.2g} % of what that leaves without']
 
 
 def _best(weighed: Weighed) -> Candidate:

@@ -31,6 +31,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
     LEAST_RESIDUAL,
+    NOISE_SHARE,
     OWN_MODEL,
     SERVO,
     Evidence,
@@ -40,6 +41,7 @@ from asi_analysis.gap.inference.probability import (
     marginals,
     probabilities,
 )
+from asi_analysis.gap.inference.related import Candidate, refitted_from_related
 from asi_analysis.gap.model.effects import (
     PARAMETER,
     UNKNOWN,
@@ -77,22 +79,13 @@ PARAMETER_PRICE = 0.003   # share of the cost by which a further parameter must 
 # Of a static characteristic: the share of the probability of `unknown` that an implausible
 # hypothesis gets: a disturbance in step with the input, or three effects on the curve's shape.
 IMPLAUSIBLE_SHARE = 0.4
-# Fields of delays and lags, of a servo or of the drive of a joint.
-DELAYS_AND_LAGS = ('command_delay', 'valve_lag', 'drive_delay', 'drive_lag')
 SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
-# Of a servo: if a fit leaves at most QUIET_RATIO times the noise variance, the model error is
-# small, and the error floor is the residual of that fit times FLOOR_MARGIN (mean squares).
+# Of a joint: if a fit leaves at most this multiple of the noise variance, the model error is what
+# it leaves beyond the noise, and the error floor allows for as much again. Of a joint that is
+# driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
 QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
-
-
-class Candidate(NamedTuple):
-    """A hypothesis of a group: its effects, their forms and the best fit."""
-
-    names: Names
-    variants: tuple[Variant, ...]
-    fitted: Fitted
 
 
 class Weighed(NamedTuple):
@@ -118,7 +111,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                          if channels_of(variant, group) and not variant.joined]
         for effect in group.effects}
     found |= _fit_best_screened(group, null, choices, SINGLES, tick)
-    found |= _refitted_friction(group, found)
+    found |= refitted_from_related(group, found)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
                      key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:NULL_RESTARTS]])
@@ -138,46 +131,6 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
         better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
         found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
     return found | _pruned(group, found)
-
-
-def _refitted_friction(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
-    """
-    Return effects that fit worse than another one with a common parameter, refitted from that.
-
-    Friction effects share a level. The linear screen does not tell the pre-sliding displacement,
-    which is the same for each of them.
-    """
-    def from_related(candidate: Candidate) -> Candidate:
-        fields = {free.field for variant in candidate.variants for free in variant.free}
-        related = min((each for each in found.values() if each.names != candidate.names and fields
-                       & {free.field for variant in each.variants for free in variant.free}),
-                      key=lambda each: each.fitted.cost, default=candidate)
-        return candidate if related.fitted.cost >= candidate.fitted.cost else candidate._replace(
-            fitted=refit(group, candidate.fitted, [related.fitted]))
-
-    better = {each.names: each for each in in_threads(from_related, found.values())}
-    return better | _refitted_delays(group, found)
-
-
-def _refitted_delays(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
-    """
-    Return a lag or a delay that fits worse than the other, refitted from the other's value.
-
-    The total delay can be shared with the servo's own lag in several ways: local minima.
-    """
-    late = {name: names for names, each in found.items() if len(names) == 1
-            for name in DELAYS_AND_LAGS if each.fitted.values.get(name)}
-    better: dict[Names, Candidate] = {}
-    for field, other in itertools.permutations(late, 2):
-        own, rival = found[late[field]], found[late[other]]
-        if rival.fitted.cost < own.fitted.cost:
-            p = rival.fitted.record.copy()
-            p[field], p[other] = p[other], 0.0
-            if f'{field}_split' in own.fitted.values:   # two equal poles: nearest to a delay
-                p[f'{field}_split'] = 0.5
-            again = rival.fitted._replace(record=p)
-            better[late[field]] = own._replace(fitted=refit(group, own.fitted, [again]))
-    return better
 
 
 def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
@@ -320,13 +273,20 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
             residual[names][channel] = max(
                 residual[names][channel] - min(max(above, min(ends)), max(ends)),
                 LEAST_RESIDUAL * residual[names][channel])
-    floor = group.error_floor
+    floor, formulation = group.error_floor, group.formulation
     least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
     if group.floor_by_best and all(least[name] < QUIET_RATIO * noise[name] for name in floor):
-        floor = {name: min(level, FLOOR_MARGIN * max(noise[name], least[name]))
+        margin = FLOOR_MARGIN
+        if group.channels == ('valve',):   # measured directly: all that is left is known
+            noise = {name: min(level, least[name]) for name, level in noise.items()}
+            margin = 1.0 + NOISE_SHARE
+        error = {name: max(least[name] - level, 0.0) for name, level in noise.items()}
+        floor = {name: min(level, max(margin * max(noise[name], least[name]),
+                                      least[name] + error[name]))
                  for name, level in floor.items()}
+        formulation = {name: min(level, error[name]) for name, level in formulation.items()}
     return Evidence(
-        noise, floor, group.formulation,
+        noise, floor, formulation,
         independent_samples(group, best.fitted.record), group.held_out_s, residual,
         {names: len({free.field.partition('@')[0] for variant in candidate.variants
                      for free in variant.free})

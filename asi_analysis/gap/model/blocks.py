@@ -45,6 +45,7 @@ EFFECT_FIELDS = (
     'loop_width',               # N, largest half width of the plays
     'loop_share',               # of the command that passes the plays; above 1: see `loop`
     'loop_spread',              # 0: all plays have loop_width, 1: evenly from 0 to loop_width
+    'loop_behind',              # 1: a single play between the flexure and what is measured
     'command_deadband',         # N, half width
     'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0: all equal
     'valve_hysteresis_lagged',  # share of its growth with the rate that is a lag instead
@@ -200,8 +201,9 @@ def valve(command, p, e, period, count, out):
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
+    behind = valve_position(rest, p)
     for k in range(out.shape[0]):
-        position = valve_position(pipe, p)
+        position = behind if e.loop_behind > 0.5 else valve_position(pipe, p)
         if e.valve_limit > 0.0:
             position = e.valve_limit * clip_round(position / e.valve_limit, e.corner)
         out[k] = position
@@ -233,6 +235,8 @@ def valve(command, p, e, period, count, out):
                 pipe = lagged
                 if p.valve_flexure_model == LINEAR:
                     pipe *= p.valve_flexure_linear_gain
+            if e.loop_behind > 0.5:
+                behind = play(behind, valve_position(pipe, p), e.loop_width)
 
 
 @jit
@@ -275,7 +279,7 @@ def loop(plays, drive, e):
     That share is negative for a loop whose output first moves back at a turn, as one of Bouc and
     Wen may.
     """
-    if e.loop_width <= 0.0:
+    if e.loop_width <= 0.0 or e.loop_behind > 0.5:
         return drive
     through = 0.0
     for i in range(PLAYS):

@@ -124,6 +124,17 @@ class Group:
             return PASS_S * self.passes
         return sum(float((r.held_out | r.report).sum()) * r.period_s for r in self.recordings)
 
+    def fit_unit(self, channel: str) -> float:
+        """
+        Return the mean square by which residuals are divided in fits: the error floor.
+
+        If the best residual limits the model error, the noise, since the right hypothesis may
+        leave no more: in larger units, the Tikhonov regularisation would end the fit before.
+        """
+        if not self.floor_by_best:
+            return self.error_floor[channel]
+        return max(self.noise[channel] ** 2, least_error(self, channel))
+
     @property
     def as_given(self) -> np.void:
         """Return the nominal record without changes that come from another group."""

@@ -32,9 +32,9 @@ from asi_analysis.gap.model.model_file import joint_fields
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
 from asi_analysis.gap.model.servo import (
-    LAG_SPLIT,
     Servo,
     error_of,
+    hidden_servo,
     second_order,
     servo_of,
     slow_servo,
@@ -74,9 +74,9 @@ ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in o
 LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
-# Lost motion of a position loop at reversals: one play in series.
+# Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
-                      ('valve',), (('loop_share', 1.0), ('loop_spread', 0.0)))
+                      ('valve',), (('loop_behind', 1.0),))
 # Delay and lag of a slow machine's position loop: ten times those of a valve.
 SLOW_LOOP = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
         for field in ('command_delay', 'valve_lag')}
@@ -118,13 +118,13 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
 
     healthy: recordings from which servo, gravity, spring and mean force are identified; none:
     `runs`; weight: gravity that their fit adds to it, N m of sin q and of cos q; hidden: gravity
-    or a spring is in every fit, even if not identified without an effect; band_hz: the highest
-    frequency at which the force is compared.
+    or a spring, or a servo of second order, is in every fit, even if not identified without an
+    effect; band_hz: the highest frequency at which the force is compared.
     """
     recordings = prepare(runs, drive, held_out, band_hz)
     of = prepare(healthy, drive) if healthy else recordings
     if drive == 'position':
-        servos, steps, error = _identified_servo(of)
+        servos, steps, error = _identified_servo(of, hidden)
         followed, notes = with_servo(recordings, runs[0].unit('reference'),
                                      servos[0] if servos else None)
         return [_servo(followed, tolerance, False, servos, steps, error)], notes
@@ -198,7 +198,7 @@ def _without_hidden_compliance(group: Group) -> Group:
                                         if effect.name != 'load_compliance'))
 
 
-def _identified_servo(recordings: Sequence[Recording]
+def _identified_servo(recordings: Sequence[Recording], hidden: bool
                       ) -> tuple[list[Servo], Steps | None, float]:
     """
     Return the servos that may fit recordings, the reference's quantisation and a model error.
@@ -220,7 +220,7 @@ def _identified_servo(recordings: Sequence[Recording]
     moved = float(np.std(np.concatenate([r.valve_position for r in decimated
                                          if r.valve_position is not None])))
     error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
-    return servo_of(stepped, slow), steps, error
+    return [hidden_servo(slow)] if hidden else servo_of(stepped, slow), steps, error
 
 
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
@@ -285,10 +285,9 @@ def stepping(steps: Steps) -> Variant:
 
 def _near(free: Free, servos: Sequence[Servo]) -> Free:
     """Return a free delay or lag with further initial guesses: those identified with a servo."""
-    own = {'command_delay': 'delay', 'valve_lag': 'lag'}.get(free.field, '')
+    own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
+        free.field, '')
     guess = [getattr(each, own) for each in servos if own and not each.limited]
-    if free.field == 'valve_lag_split' and any(each.lag for each in servos):
-        guess = [LAG_SPLIT]
     return free._replace(starts=(*filter(None, guess), *free.starts))
 
 

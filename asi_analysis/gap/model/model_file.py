@@ -39,13 +39,15 @@ DIRECT: Final = {
 # Fields that `improved` turns into parameters, and those of a shape only.
 TURNED: Final = frozenset({
     *DIRECT, 'command_phase', 'command_truncated', 'loop_width', 'loop_share', 'loop_spread',
-    'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening', 'friction_level',
+    'loop_behind', 'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening',
+    'friction_level',
     'friction_asymmetry', 'friction_breakaway', 'friction_stribeck', 'friction_bristle',
-    'friction_rounding', 'friction_inside', 'friction_falling', 'viscous_exponent',
-    'velocity_scale', 'backlash', 'backlash_floating', 'compliance', 'compliance_damping',
-    'piston_share', 'disturbance', 'disturbance_wave', 'disturbance_frequency',
-    'disturbance_phase', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
-    'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split', 'sensor_lag_split'})
+    'friction_rounding', 'friction_inside', 'friction_falling',
+    'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating', 'compliance',
+    'compliance_damping', 'piston_share', 'disturbance', 'disturbance_wave',
+    'disturbance_frequency', 'disturbance_phase', 'disturbance_pulse', 'disturbance_start',
+    'disturbance_end', 'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split',
+    'sensor_lag_split'})
 # Parameters that predictions set themselves.
 NOT_IDENTIFIED: Final = ('maximum_substep', 'force_sensor.noise', 'force_sensor.drop_rate')
 DAHL_ROUNDING: Final = 0.75   # friction_rounding above which friction is written as Dahl's

@@ -7,7 +7,7 @@ It is the nominal model if its residual is far smaller than that of a delay with
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -17,14 +17,14 @@ from scipy.signal import lfilter
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.sampling import independent
 from asi_common.jit import jit
 
-# A servo of second order is accepted if its held-out residual power is below this share of that of
-# a delay and a lag; its limits, if theirs is below this share of that without limits.
-LEFT_BY_LAG: Final = 0.5
+# Log odds against a servo of second order in place of a delay and a lag. Its limits are accepted
+# if their residual power is below this share of that without limits.
+AGAINST: Final = 7.0
 LEFT_UNLIMITED: Final = 0.7
 ALMOST: Final = 3.0           # a residual (rms) below this multiple of the noise is model error
-NOISE: Final = 1.5            # a residual power below this multiple of the noise needs no servo
 # Natural frequency times sub-step, rad, and the most sub-steps of a sample.
 SUB_STEP: Final = 0.02
 MOST_SUB_STEPS: Final = 64
@@ -35,10 +35,15 @@ DAMPINGS: Final = (0.05, 3.0)
 LAG: Final = 20.0             # damping ratio at which a servo equals a lag of first order
 LONGEST_DELAY: Final = 1.0    # s
 LATE: Final = ('delay', 'lag')
+LINEAR: Final = (*LATE, 'split')
 TOLERANCE: Final = 0.2        # of the gain
-LAG_SPLIT: Final = 0.35       # share of the second pole of a lag
-# Initial guesses: natural frequency of a servo with a lag, over that of a servo with a delay.
-FASTER: Final = (2.0, 4.0)
+# Initial guesses: damping ratio of a servo with a lag; the lag, as a share of the mean delay of
+# both, which is well known; share of its second pole. So many of the best are fitted.
+LAG_DAMPINGS: Final = (0.55, 0.9)
+LAG_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
+LAG_SPLIT: Final = 0.3
+LEAST_SPLIT: Final = 0.05
+FOLLOWED: Final = 3
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
@@ -47,7 +52,8 @@ class Servo(NamedTuple):
     """
     Natural frequency rad/s, damping ratio, limits of rate and acceleration, delay s, lag s.
 
-    Limits in units of the reference per s and per s2, inf: none. The lag has two poles.
+    Limits in units of the reference per s and per s2, inf: none. split: share of the lag that is
+    its second pole, at most a half.
     """
 
     pulsation: float
@@ -56,6 +62,7 @@ class Servo(NamedTuple):
     acceleration: float = math.inf
     delay: float = 0.0
     lag: float = 0.0
+    split: float = 0.0
 
     @property
     def limited(self) -> bool:
@@ -82,8 +89,10 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
     """Return the response of a servo at rest at `start` to a reference held for a period (s)."""
     time = period * np.arange(reference.size)
     late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
-    for share in (LAG_SPLIT, 1.0 - LAG_SPLIT) if servo.lag else ():
-        keep = math.exp(-period / (share * servo.lag))
+    for time_constant in (servo.split * servo.lag, (1.0 - servo.split) * servo.lag):
+        if time_constant <= 0.0:
+            continue
+        keep = math.exp(-period / time_constant)
         late = lfilter([1.0 - keep], [1.0, -keep], late, zi=[keep * start])[0]
     steps = min(max(math.ceil(period * servo.pulsation / SUB_STEP), 1), MOST_SUB_STEPS)
     out = np.empty_like(reference)
@@ -111,23 +120,23 @@ def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: s
 
 def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) -> Servo:
     """
-    Return the servo with its `free` fields fitted, all but delay and lag on a logarithmic scale.
+    Return the servo with its `free` fields fitted, all but those of LINEAR on a logarithmic scale.
 
     A natural frequency above 1 rad per sample, or above that of the limits, is not identifiable.
     """
     period = min(r.period_s for r in recordings)
     bounds = {'pulsation': (-20.0, -math.log(period)), 'rate': (-40.0, 40.0),
               'damping': tuple(map(math.log, DAMPINGS)), 'acceleration': (-40.0, 40.0),
-              'delay': (0.0, LONGEST_DELAY), 'lag': (0.0, LONGEST_DELAY)}
+              'delay': (0.0, LONGEST_DELAY), 'lag': (0.0, LONGEST_DELAY), 'split': (0.0, 0.5)}
     if start.damping == LAG:    # of the time constant, 2 damping / pulsation
         bounds['pulsation'] = (-20.0, math.log(4.0 * LAG / period))
 
     def servo(x: Array) -> Servo:
-        return start._replace(**{name: float(value) if name in LATE else math.exp(value)
+        return start._replace(**{name: float(value) if name in LINEAR else math.exp(value)
                                  for name, value in zip(free, x, strict=True)})
 
     low, high = np.transpose([bounds[name] for name in free])
-    x0 = [getattr(start, name) if name in LATE else math.log(getattr(start, name))
+    x0 = [getattr(start, name) if name in LINEAR else math.log(getattr(start, name))
           for name in free]
     found = least_squares(
         lambda x: left_of(servo(x), recordings, 'fit'), np.clip(x0, low + 1e-9, high - 1e-9),
@@ -172,45 +181,59 @@ def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
     return left if left < ALMOST * noise else math.inf
 
 
+def hidden_servo(slow: Servo) -> Servo:
+    """Return a servo of second order as late as one of first order that was fitted."""
+    return Servo(2.0 * DAMPING / (slow.delay + 2.0 * slow.damping / slow.pulsation), DAMPING)
+
+
 def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     """
-    Return servos of second order: the one that fits best, and similar ones as further starts.
+    Return servos of second order: with a delay, a lag of one pole, of two; the best one first.
 
-    Some have a delay, others a lag. An empty list if a delay with a lag of first order fits about
-    as well. slow: the fit of that.
+    An empty list if following at once, or a delay with a lag of first order, explains the
+    recordings about as well. slow: the fit of that.
     """
     recordings = thinned(recordings)
-    at_once = float(np.mean(left_by([r.command for r in recordings if r.command is not None],
-                                     recordings, 'held_out') ** 2))
-    simple = min(at_once, _power(slow, recordings))
-    if simple < NOISE * max(r.noise['valve_position'] for r in recordings) ** 2:
-        return []
+    left = [left_by([r.command for r in recordings if r.command is not None], recordings,
+                    'held_out'), left_of(slow, recordings, 'held_out')]
+    simple = min(float(np.mean(each ** 2)) for each in left)
     delayed = second_order(recordings)
-    lagging = [_fitted(each, ('pulsation', 'damping', 'lag'), recordings)
-               for each in _with_lag(delayed)]
-    behind = min(lagging, key=lambda each: _power(each, recordings))
-    second, other = sorted((delayed, behind), key=lambda each: _power(each, recordings))
+    one_pole = _lagging(delayed, recordings)
+    two_poles = _lagging(delayed, recordings, one_pole)
+    found = sorted((delayed, one_pole, two_poles), key=lambda each: _power(each, recordings))
     speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
                 for r in recordings)
     limited = _fitted(delayed._replace(rate=0.7 * speed,
                                        acceleration=0.5 * delayed.pulsation * speed),
-                      [name for name in Servo._fields if name != 'lag'], recordings)
-    unlimited = _power(second, recordings)
-    found = ([limited] if _power(limited, recordings) < LEFT_UNLIMITED * unlimited else
-             [second, other, *_with_lag(delayed)])
-    return found if _power(found[0], recordings) < LEFT_BY_LAG * simple else []
+                      ('pulsation', 'damping', 'rate', 'acceleration', 'delay'), recordings)
+    if _power(limited, recordings) < LEFT_UNLIMITED * _power(found[0], recordings):
+        found = [limited]
+    residual = left_of(found[0], recordings, 'held_out')
+    ratio = simple / (float(np.mean(residual ** 2)) + 1e-300)
+    gain = 0.5 * independent(residual, np.ones_like(residual)) * math.log(max(ratio, 1e-300))
+    return found if gain > AGAINST else []
 
 
-def _with_lag(delayed: Servo) -> Iterator[Servo]:
-    """Yield servos with a lag whose responses are similar to that of one with a delay."""
-    for faster in FASTER:
-        yield delayed._replace(pulsation=faster * delayed.pulsation, delay=0.0,
-                               lag=delayed.delay + 1.0 / delayed.pulsation)
-    if delayed.damping > 1.0:   # its slow pole is the lag; the other and the delay are the servo
-        root = math.sqrt(delayed.damping ** 2 - 1.0)
-        slow, fast = ((delayed.damping + way * root) / delayed.pulsation for way in (1.0, -1.0))
-        yield delayed._replace(pulsation=2.0 * DAMPING / (fast + delayed.delay), damping=DAMPING,
-                               delay=0.0, lag=slow)
+def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | None = None
+             ) -> Servo:
+    """
+    Return the best fit of a servo with a lag: of one pole, or of two, if the former is given.
+
+    delayed: the fit of a servo with a delay, which has the same mean delay.
+    """
+    late = delayed.delay + 2.0 * delayed.damping / delayed.pulsation
+    split = LAG_SPLIT if one_pole else 0.0
+
+    def power(each: Servo) -> float:
+        return _power(each, recordings, 'fit')
+
+    starts = sorted((Servo(2.0 * damping / ((1.0 - share) * late), damping, lag=share * late,
+                           split=split) for share in LAG_SHARES for damping in LAG_DAMPINGS),
+                    key=power)[:FOLLOWED]
+    if one_pole:
+        starts.append(one_pole._replace(split=LEAST_SPLIT))
+    free = ('pulsation', 'damping', 'lag', *['split'] * bool(split))
+    return min((_fitted(each, free, recordings) for each in starts), key=power)
 
 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:
@@ -248,7 +271,7 @@ def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
             f'ratio {servo.damping:.3g}')
     if not servo.limited:
         return recordings, [f'{note}, the initial guess of the fit']
-    at_once = servo._replace(delay=0.0, lag=0.0)
+    at_once = servo._replace(delay=0.0, lag=0.0, split=0.0)
     limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
         ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
         if math.isfinite(value)]

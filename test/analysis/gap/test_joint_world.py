@@ -46,7 +46,8 @@ def test_cases_of_joints_are_written_and_judged(tmp_path):
                  marks=pytest.mark.slow),                             # it rests at few levels
     (310020, 'disturbance_force', 'disturbance_frequency', 'push_frequency'),  # beside a line
     (310067, 'disturbance_force', 'disturbance_pulse', 'push_burst'),   # it hides the gravity
-    (310030, 'valve_lag', 'drive_lag', 'lag')])                       # it has two poles
+    (310030, 'valve_lag', 'drive_lag', 'lag'),                        # it has two poles
+    (330031, 'valve_lag', 'valve_lag', 'lag')])                       # before a servo
 def test_size_of_what_a_fit_finds_only_from_nearby(seed, effect, field, truth):
     case = draw_joint(seed)
     answer = document(diagnose(case.runs, {}, 'joint'))

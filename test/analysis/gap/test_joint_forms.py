@@ -1,0 +1,42 @@
+"""Forms of a joint's effects, alone: lost motion, a servo with a lag."""
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.joint import IDEAL
+from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.servo import Servo, follow, servo_of, slow_servo
+from asi_analysis.gap.prepare import prepare
+
+PERIOD_S = 0.004
+TIME_S = PERIOD_S * np.arange(1500)
+REFERENCE = sum(np.sin(2.0 * np.pi * f * TIME_S + f) for f in (0.3, 0.9, 1.7, 3.1))
+
+
+def test_lost_motion_is_behind_the_servo():
+    p = plant_record(IDEAL)
+    p['valve_characteristic_full_opening'] = 1.0
+    p['valve_lag'] = 0.05
+    lagged, lost = np.empty((2, TIME_S.size))
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lagged)
+    p['loop_width'], p['loop_behind'] = 0.2, 1.0
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lost)
+    play = lagged.copy()
+    for k in range(1, play.size):
+        play[k] = min(max(play[k - 1], lagged[k] - 0.2), lagged[k] + 0.2)
+    np.testing.assert_allclose(lost, play, atol=1e-12)
+
+
+@pytest.mark.parametrize('true', [Servo(80.0, 0.7, lag=0.03), Servo(80.0, 0.7, delay=0.014)])
+def test_servo_is_identified_with_what_makes_it_late(true):
+    moved = follow(true, REFERENCE, REFERENCE[0], PERIOD_S)
+    moved += np.random.default_rng(1).normal(0.0, 1e-4, moved.size)
+    run = Run(TIME_S, reference_n=REFERENCE, position_m=moved, source='servo',
+              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    recordings = prepare([run], 'position', [False])
+    found = servo_of(recordings, slow_servo(recordings))
+    same = min(found, key=lambda each: abs(each.lag - true.lag) + abs(each.delay - true.delay))
+    assert (same.lag, same.delay) == pytest.approx((true.lag, true.delay), abs=1e-3)
+    assert same.pulsation == pytest.approx(80.0, rel=0.05)
