@@ -45,6 +45,7 @@ setup(
         'lz4>=4.3,<5',
         'pint>=0.25,<1',         # units of imported recordings
         'rosbags>=0.11.9,<0.12',     # reads by apsw
+        'backports.zstd>=1.0,<2',    # whose errors rosbags does not catch
         'pyarrow>=17,<27',
         'matplotlib>=3.9,<4',
         'jinja2>=3.1.4,<4',
