@@ -207,8 +207,12 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
             *start.problem.fixed, *((free.field, float(values[free.field]))
                                     for free in start.problem.free[:-count])))
         best = most_probable(own, start.theta[-count:], goal=null.largest_cost)
-        return Found((start.name,), (start.variant,), start.problem, null.best).at(
-            np.append(start.theta[:-count], best.theta))
+        found = converged(Found((start.name,), (start.variant,), own, best), null.largest_cost)
+        substep = float(found.problem.record(found.best.theta)['maximum_substep'])
+        return found._replace(problem=replace(
+            start.problem, group=found.problem.group, fixed=(
+                *start.problem.fixed, ('maximum_substep', substep)))).at(
+                    np.append(start.theta[:-count], found.best.theta))
 
     fits = problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
     return [each._replace(best=each.best._replace(slopes=None)) for each in fits
