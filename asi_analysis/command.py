@@ -19,6 +19,7 @@ else:
     import _signal as signal  # built in; `signal` first makes enumerations of its numbers
 
 INTERRUPTED = 130
+SAID = b'asi: interrupted\n'
 AGAIN_S = 0.05
 
 
@@ -54,12 +55,12 @@ def _raise(_: int, frame: FrameType | None) -> None:
     ImportError, a class with descriptors a RuntimeError. In llvmlite it leaves objects that are
     incomplete, whose end is a traceback or a crash.
     """
-    from asi_common.executable import is_compiling
+    from asi_common.executable import end_by_signal, is_compiling
     if is_compiling():
-        _interrupted()
+        end_by_signal(INTERRUPTED, SAID)
     while frame is not None:
         if frame.f_code.co_filename.startswith('<frozen importlib'):
-            _interrupted()
+            end_by_signal(INTERRUPTED, SAID)
         frame = frame.f_back
     raise KeyboardInterrupt
 
@@ -77,5 +78,5 @@ def _repeat_signal(ignored: Any) -> None:
 
 
 def _interrupted(*_: Any) -> NoReturn:
-    os.write(2, b'asi: interrupted\n')
+    os.write(2, SAID)
     os._exit(INTERRUPTED)

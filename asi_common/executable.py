@@ -7,7 +7,10 @@ import threading
 import warnings
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
-from typing import NoReturn
+from typing import Final, NoReturn
+
+# Held, until the end of the process, by the thread that ends it because of a signal.
+_ending: Final = threading.RLock()
 
 
 def warn_in_log() -> None:
@@ -35,6 +38,18 @@ def end_at_once(status: int) -> NoReturn:
     os._exit(status)
 
 
+def only_this_thread_ends() -> None:
+    """Let no other thread end this process from now on; wait for ever if one already does."""
+    _ending.acquire()
+
+
+def end_by_signal(status: int, said: bytes = b'') -> NoReturn:
+    """End this process with a status and one `said` on stderr, whichever threads want that."""
+    only_this_thread_ends()
+    os.write(2, said)
+    os._exit(status)
+
+
 def is_compiling() -> bool:
     """Return whether numba compiles in this process now."""
     # None while the module is not imported, or only in part.
@@ -57,8 +72,7 @@ def end_while_compiling(numbers: Collection[int], status: int, said: bytes = b''
     def watch() -> None:
         while came := os.read(reading, 100):
             if set(came) & set(numbers) and is_compiling():
-                os.write(2, said)
-                os._exit(status)
+                end_by_signal(status, said)
         os.close(reading)
 
     def end() -> None:

@@ -23,6 +23,7 @@ from asi_analysis.cli import bags, gap, limit_cycles, paper, tuning, viewing  # 
 from asi_analysis.cli.interrupt import end_while_compiling
 from asi_analysis.cli.options import app as app
 from asi_analysis.errors import InputError
+from asi_common.executable import only_this_thread_ends
 from asi_common.writable import choose_folder
 
 
@@ -44,9 +45,9 @@ def main() -> int:
     try:
         end_while_compiling()
         status = app(prog_name='asi', standalone_mode=False) or 0
-        return _fail('interrupted', status) if status == 130 else status   # typer's, of Ctrl-C
+        return _interrupted() if status == 130 else status   # typer's, of Ctrl-C
     except KeyboardInterrupt:       # while typer builds the commands
-        return _fail('interrupted', 130)
+        return _interrupted()
     except InputError as error:
         return _fail(str(error), 2)
     except ValueError as error:
@@ -65,6 +66,11 @@ def main() -> int:
         where = error.ctx.command_path if getattr(error, 'ctx', None) else 'asi'
         # Called without arguments, a command has printed its help.
         return _fail(f'{message} (see {where} --help)', 2) if message else 2
+
+
+def _interrupted() -> int:
+    only_this_thread_ends()     # the one that watches for Ctrl-C while numba compiles says it too
+    return _fail('interrupted', 130)
 
 
 def _fail(text: str, status: int) -> int:

@@ -3,10 +3,11 @@
 import functools
 import signal
 
+from asi_analysis.command import INTERRUPTED, SAID
 from asi_common import executable
 
 
 @functools.cache
 def end_while_compiling() -> None:
     """Let SIGINT end this process with status 130 while it compiles. Only for a command."""
-    executable.end_while_compiling({signal.SIGINT}, 130, b'asi: interrupted\n')
+    executable.end_while_compiling({signal.SIGINT}, INTERRUPTED, SAID)
