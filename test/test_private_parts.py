@@ -39,7 +39,8 @@ PARTS = {
     'numba': lambda _: {'on_start', 'on_end'} <= vars(numba.core.event.Listener).keys(),
     'python-can': lambda _: all(name in inspect.getsource(can.interfaces.slcan) for name in (
         'def _read(', 'def _write(', 'LINE_TERMINATOR', '_buffer', 'serialPortOrig', '_ERROR')),
-    'rclpy': lambda _: '_guard' in inspect.getsource(rclpy.executors) and all(
+    'rclpy': lambda _: all(name in inspect.getsource(rclpy.executors)
+                           for name in ('self._guard = ', 'self._tasks: ')) and all(
         hasattr(rclpy_implementation, name)
         for name in ('WaitSet', 'RCLError', 'rcl_time_point_t')),
 }

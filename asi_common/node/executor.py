@@ -153,7 +153,8 @@ class LoopExecutor(SingleThreadedExecutor):
                     if timer.handle.is_timer_ready():
                         timer.handle.call_timer()
                         timer.callback()
-                if self._requested(slow, services, clients):
+                # A task: what rclpy does with the answer of a service.
+                if self._tasks or self._requested(slow, services, clients):
                     return
 
     def _serve(self, wait_set: Any, subscriptions: list[Any], timers: list[Any],

@@ -9,11 +9,14 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from conftest import PATIENCE_S, ROOT, NodeProcess
+from conftest import PATIENCE_S, ROOT, NodeProcess, wait_until
+from rclpy.parameter_client import AsyncParameterClient
 
 from asi_analysis.bags.bag_file import read_contents
+from asi_common.node import executor
 from asi_common.writable import choose_folder
 
 # The import of a node, as slow as can be.
@@ -348,3 +351,16 @@ except KeyboardInterrupt:
     print('interrupted')
 """], capture_output=True, text=True, check=True)
     assert (said.stdout, said.stderr) == ('interrupted\n', '')
+
+
+def test_each_step_of_an_answer_of_a_service_is_taken_at_the_next_tick(
+        ros_node: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And not at the next look for events of the middleware, as the recorder's requests were."""
+    monkeypatch.setattr(executor, 'EVENT_PERIOD_NS', 10**9 * 10**6)
+    names: list[str] = []
+    client = AsyncParameterClient(ros_node, ros_node.get_name())
+    assert client.wait_for_services(PATIENCE_S)
+    client.list_parameters(callback=lambda listed: client.get_parameters(
+        listed.result().result.names,
+        callback=lambda values: names.extend(map(str, values.result().values))))
+    wait_until(lambda: names, 'the answer of the second service')

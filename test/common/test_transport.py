@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT, Listener, NodeProcess
+from conftest import PATIENCE_S, ROOT, Listener, NodeProcess
 
 from asi_common.node.executor import CHOICES, HERE_ALONE, choose_transport, stay_here
 
@@ -67,6 +68,19 @@ def test_without_a_range_or_with_localhost_no_socket_is_bound_to_another_address
     open_ = start_node(ACTUATOR, '-r', '__node:=asi_open', mode='realtime', rate_hz=200.0)
     open_.wait_for('realtime at')
     assert '0.0.0.0' in sockets(open_.pid)
+
+
+def test_a_node_says_twice_a_second_that_it_is_there(
+        ros_environment: dict[str, str], start_node: Callable[..., NodeProcess]) -> None:
+    """To the ports of processes that it does not know; DDS would say it every 3 s."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unknown:
+        # Where DDS has the last of the 32 processes that a node looks for.
+        unknown.bind(('127.0.0.1', 7410 + 250 * int(ros_environment['ROS_DOMAIN_ID']) + 2 * 31))
+        unknown.settimeout(PATIENCE_S)
+        start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
+        # The first five are 0.1 s apart.
+        times = [time.monotonic() for _ in range(10) if unknown.recv(65536).startswith(b'RTPS')]
+    assert times[-1] - times[0] < 10.0
 
 
 # Prints how many of 1500 states it misses, as best effort delivers them.
