@@ -70,6 +70,17 @@ def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'od
     return np.asarray(middle + fade * (longer - middle))
 
 
+def first_of(motion: Motion, count: int, period: float) -> Motion:
+    """Return the motion of the first samples of a recording; its filters are interpolated."""
+    size = count + 2 * motion.pad
+    omega = 2.0 * np.pi * np.fft.rfftfreq(size, period)
+    position, velocity = motion.position[:size], motion.velocity[:size]
+    smooth, judge, noise = (np.interp(omega, motion.omega, each)
+                            for each in (motion.smooth, motion.judge, motion.noise))
+    return Motion(omega, position, velocity, motion.acceleration[:size], np.fft.rfft(position),
+                  np.fft.rfft(velocity), smooth, judge, noise, motion.pad, motion.measured)
+
+
 def _fast_padding(size: int, least: int) -> int:
     """Return the samples to add at both ends, so that the sum has small prime factors only."""
     most = size - 2

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.signal import resample_poly
 
 from asi_analysis.arrays import Array, Mask
@@ -17,6 +18,7 @@ from asi_analysis.gap.motion import (
     clear_band,
     common_band,
     ends,
+    first_of,
     judged,
     motion_of,
     stands,
@@ -33,6 +35,7 @@ MEASURED = frozenset(('force', 'valve_position', 'position', 'velocity'))
 REST = ('force', 'velocity', 'valve_position')   # signals that are 0 at rest
 AT_REST = 5.0           # a signal is 0 within so many standard deviations of its noise
 START_S = 0.02          # length of the beginning of a recording
+LEAST_PART_S = 1.0      # of a recording that is fitted by itself
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,24 @@ class Recording:
     def time_s(self) -> Array:
         """Return the time of each sample."""
         return self.period_s * np.arange(self.fit.size)
+
+
+def first_of_recording(recording: Recording, share: float) -> Recording:
+    """Return the first share of a recording; at least LEAST_PART_S, if it is that long."""
+    size, motion = recording.fit.size, recording.motion
+    count = min(max(int(share * size), int(LEAST_PART_S / recording.period_s)), size)
+    if motion is not None:   # a Fourier transform of few prime factors is fast
+        pads = 2 * motion.pad
+        count = min(next_fast_len(count + pads, real=True) - pads, size)
+
+    def first(values: Any) -> Any:
+        return values[:count] if isinstance(values, np.ndarray) else values
+
+    cut = {each.name: first(getattr(recording, each.name)) for each in fields(recording)}
+    return replace(
+        recording, **cut | {
+            'cache': {}, 'motion': motion and first_of(motion, count, recording.period_s),
+            'corrections': {name: first(each) for name, each in recording.corrections.items()}})
 
 
 def velocity_of(recording: Recording) -> Array | None:

@@ -9,7 +9,7 @@ Information Theory, Inference and Learning Algorithms, 2003, ch. 27).
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
@@ -28,8 +28,9 @@ from asi_analysis.gap.model.group import (
     with_valve_gain,
 )
 from asi_analysis.gap.model.predict import judged_error
-from asi_analysis.gap.model.simulator import metres_per_newton
+from asi_analysis.gap.model.simulator import SUBSTEPS_S, metres_per_newton
 from asi_analysis.gap.model.start import MEMORIES
+from asi_analysis.gap.prepare import first_of_recording
 from asi_analysis.parallel import cores
 
 # Finite differences, as shares of a parameter's range: the usual ones, and those where the cost is
@@ -42,6 +43,11 @@ GAIN, CONVERGED = 0.05, 3e-4
 # Damping of Levenberg and Marquardt: at first, and so small that no less is tried; the factor by
 # which it is changed; steps that are tried; the share of the promised gain that is enough.
 DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
+# A residual is far from explained if its cost is FAR times that of noise. Then a part of the
+# recordings is fitted first: with a small weight of the data, then HEAVIER times more, so many
+# Jacobians each; at the end until a round gains less than a share of the cost.
+FAR, PART, HEAVIER, LIGHT_ROUNDS, ROUGHLY = 10.0, 0.125, 100.0, 3, 0.03
+SUBSTEP, COARSER = 'maximum_substep', 4.0   # of a Jacobian, as a multiple of the residual's
 RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
 MOST_STEPS = 2   # for each parameter, with Broyden's updates of one Jacobian
 LEAST_COST = 1e-300
@@ -84,6 +90,27 @@ class Posterior(Problem):
         mean, precision = self.prior
         return 0.5 * float(precision @ (theta - mean) ** 2)
 
+    @property
+    def noise_cost(self) -> float:
+        """Return the cost of a residual that is as large as the error floor."""
+        rows = sum(int(np.count_nonzero(r.known)) for r in self.group.recordings)
+        return 0.5 * float(power(self.group).sum()) * rows
+
+    def is_far(self, cost: float) -> bool:
+        """Return whether a cost is far above what noise explains."""
+        return cost > FAR * self.noise_cost
+
+    def first_part(self, share: float) -> 'Posterior':
+        """Return the posterior under the first share of each recording alone."""
+        return replace(self, group=replace(self.group, recordings=[
+            first_of_recording(each, share) for each in self.group.recordings]))
+
+    def lighter(self, share: float) -> 'Posterior':
+        """Return the posterior with this share of the weight of its data."""
+        group = self.group
+        return replace(self, group=replace(group, weight={
+            channel: share * value for channel, value in group.weight.items()}))
+
     def start(self, free: Free, value: float) -> float:
         """Return a start value (relative, as in `Free`) as a share of the range, off its ends."""
         own = self.parameter(free)
@@ -125,10 +152,13 @@ class Posterior(Problem):
         """
         Return the Jacobian of the residual: samples by parameters, from finite differences.
 
-        known: columns, by field, that are not computed again; base: the residual, if known;
-        size: of the differences, as a share of each range.
+        With a longer sub-step than that of the residual, unless an effect has one of its own: its
+        integration error hardly depends on the parameters. known: columns, by field, that are not
+        computed again; base: the residual, if known; size: of the differences, as a share of each
+        range.
         """
-        residual = self.residual(theta) if base is None else base
+        coarse = self._coarser(theta)
+        residual = coarse.residual(theta) if base is None or coarse is not self else base
 
         def column(number: int) -> Array:
             name = self.free[number].field
@@ -137,9 +167,17 @@ class Posterior(Problem):
             moved = theta.copy()
             step = size if theta[number] < 0.5 else -size
             moved[number] += step
-            return (self._residual_of(self.record(moved)) - residual) / step
+            return (coarse.residual(moved) - residual) / step
 
         return np.array(list(self.in_parallel(column, range(theta.size)))).T
+
+    def _coarser(self, theta: Array) -> 'Posterior':
+        """Return the posterior with a longer sub-step, unless that is fixed by a hypothesis."""
+        own = float(self.record(theta)['maximum_substep'])
+        longer = min(COARSER * own, SUBSTEPS_S[0])
+        if longer <= own or any(name == SUBSTEP for name, _ in self.fixed):
+            return self
+        return replace(self, fixed=(*self.fixed, (SUBSTEP, longer)))
 
     def in_parallel(self, function: Callable[[Item], Made], items: Iterable[Item]
                     ) -> Iterator[Made]:
@@ -184,6 +222,49 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
                   known: Mapping[str, Array] = NONE, goal: float = math.inf,
                   converged: float = CONVERGED, near: Best | None = None,
                   without: float = math.inf) -> Best:
+    """
+    Return the most probable parameters, from a start, as `_maximised` does.
+
+    A fit of more than a few rounds that begins far from explaining the recordings is made on
+    their first part before. What cannot explain that part is given up: it cannot explain all.
+    """
+    point = _Point.of(problem, start)
+    if rounds >= ROUNDS and problem.is_far(point.cost):
+        found = of_first_part(problem, start, goal)
+        there = _Point.of(problem, found.theta)
+        if there.cost < point.cost:
+            point, known, near = there, NONE, None
+        if found.cost > goal:
+            return Best(point.theta, point.cost, point.residual)
+    return _maximised(problem, point.theta, rounds, known, goal, converged, near, without)
+
+
+def of_first_part(problem: Posterior, start: Array, goal: float = math.inf) -> Best:
+    """
+    Return the most probable parameters, given the first part of the recordings alone, roughly.
+
+    By continuation (Allgower and Georg, Introduction to Numerical Continuation Methods, 2003): the
+    data have little weight at first, so that nominal parameters stay near their values until an
+    effect explains what is large; else they imitate it, and the fit ends in a local minimum.
+    goal: as in `most_probable`, of all recordings; far above it even with a small weight, a fit is
+    given up.
+    """
+    part, theta = problem.first_part(PART), start
+    cost = part.cost(start)
+    share = theta.size / cost if math.isfinite(cost) else 1.0
+    while share < 1.0:
+        light = _maximised(part.lighter(share), theta, LIGHT_ROUNDS)
+        if light.cost > FAR * goal:
+            return light
+        theta = light.theta
+        share *= HEAVIER
+    return _maximised(part, theta, goal=goal, converged=ROUGHLY)
+
+
+def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
+               known: Mapping[str, Array] = NONE, goal: float = math.inf,
+               converged: float = CONVERGED, near: Best | None = None,
+               without: float = math.inf) -> Best:
     """
     Return the most probable parameters, from a start.
 

@@ -86,6 +86,8 @@ def with_noise_from_fit(found: Mapping[Names, Found],
     def quiet(each: Found) -> Found:
         same = replace(each.problem.group, noise=group.noise, error_floor=group.error_floor)
         weighed = each.weighed_as(replace(each.problem, group=same))
+        if each.problem.is_far(each.best.cost) and not leader.problem.is_far(leader.best.cost):
+            return weighed   # it does not even explain what is above the larger noise
         return converged(weighed.refined(goal=goal), goal)
 
     return with_noise_from_fit({names: leader if each is best else quiet(each)

@@ -13,7 +13,7 @@ from asi_analysis.gap.formulation import (
     with_usual_shapes,
 )
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import FAR, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
 from asi_analysis.gap.inference.simulated.found import Found
@@ -76,11 +76,12 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
         if other:
-            null = moved[()].refined()
-            moved[()] = null
+            null = moved[()]
             enough = np.ones(len(null.problem.group.channels)) if (
                 null.problem.group.may_differ) else equal_below(
                     min(moved.values(), key=lambda each: each.best.cost))
+            null = moved[()] = null.refined(
+                goal=FAR * float(enough.max()) * null.problem.noise_cost)
             if (plain := _sufficient(null, enough)) is not None:
                 return {(): plain}
         moved = _refitted(moved)
@@ -126,7 +127,7 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
 def goal_beside(leader: Found) -> float:
     """Return the cost that a fit must reach to compete with the best one."""
     return (leader.best.cost + COST_RANGE
-            + EXCESS_RANGE * max(leader.best.cost - leader.noise_cost, 0.0))
+            + EXCESS_RANGE * max(leader.best.cost - leader.problem.noise_cost, 0.0))
 
 
 def _nearest_to_nominal(found: Found, equal: Array) -> Found:

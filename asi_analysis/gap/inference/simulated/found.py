@@ -1,7 +1,6 @@
 """A fitted hypothesis: what it leaves, and how probable its nominal parameters are."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,10 +64,8 @@ class Found(NamedTuple):
 
     def lighter(self, share: float, rounds: int = ROUNDS) -> 'Found':
         """Return the hypothesis, refitted with this share of the weight of its data."""
-        group = self.problem.group
-        weight = {channel: share * value for channel, value in group.weight.items()}
-        light = replace(self.problem, group=replace(group, weight=weight))
-        return self.weighed_as(light).refined(rounds).weighed_as(self.problem)
+        return self.weighed_as(self.problem.lighter(share)).refined(rounds).weighed_as(
+            self.problem)
 
     @property
     def relative_residual(self) -> Array:
@@ -97,12 +94,6 @@ class Found(NamedTuple):
         rows, _ = self.problem.split(self.best.residual)
         return 0.5 * self.explained * float(
             power(self.problem.group) @ self._any_formulation) * rows.shape[1]
-
-    @property
-    def noise_cost(self) -> float:
-        """Return the cost of a residual that is as large as the error floor."""
-        rows, _ = self.problem.split(self.best.residual)
-        return 0.5 * float(power(self.problem.group).sum()) * rows.shape[1]
 
     @property
     def _any_formulation(self) -> Array:

@@ -21,15 +21,18 @@ from asi_analysis.gap.formulation import with_lower_floor
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
+    FAR,
     GAIN,
     GAIN_MARGIN,
     NONE,
     ODDS_AGAINST,
+    ROUGHLY,
     ROUNDS,
     SLIGHT,
     Best,
     Posterior,
     most_probable,
+    of_first_part,
 )
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
@@ -163,8 +166,11 @@ def null_fit(group: Group) -> Found:
     problem = Posterior(group, group.nuisance)
     first = min((most_probable(problem, start, rounds=2) for start in _start_guesses(problem)),
                 key=lambda best: best.cost)
-    null = converged(Found((), (), problem, most_probable(
-        problem, first.theta, rounds=2 * ROUNDS, converged=0.0, near=first)))
+    null = Found((), (), problem, most_probable(
+        problem, first.theta, rounds=2 * ROUNDS, converged=ROUGHLY, near=first))
+    if null.best.cost < FAR * null.largest_cost:   # else it explains nothing, however exact
+        null = converged(null._replace(best=most_probable(
+            problem, null.best.theta, rounds=2 * ROUNDS, converged=0.0, near=null.best)))
     # From here on, a recording that starts in motion has the initial state of this fit.
     return null._replace(best=null.best._replace(slopes=None), problem=replace(
         null.problem, group=with_fitted_start(
@@ -361,12 +367,17 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     if base is null and screened.most < ODDS_AGAINST:
         return {}
 
+    far = problem.is_far(base.best.cost)
+
     def rough(start: Start) -> Found:
-        own = {free.field for free in start.variant.free}
-        best = most_probable(replace(start.problem, pool=None), start.theta, ROUGH_ROUNDS, {
+        own, alone = {free.field for free in start.variant.free}, replace(start.problem, pool=None)
+        begun = Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
+                      start.problem, base.best._replace(slopes=None))
+        if far:   # the first part of the recordings shows well enough which effect it is
+            return begun.at(of_first_part(alone, start.theta).theta)
+        best = most_probable(alone, start.theta, ROUGH_ROUNDS, {
             field: column for field, column in screened.slopes.items() if field not in own})
-        return Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
-                     start.problem, best._replace(slopes=None))
+        return begun._replace(best=best._replace(slopes=None))
 
     forms = []
     for found in problem.in_parallel(rough, screened.best(ROUGH_FITS)):
