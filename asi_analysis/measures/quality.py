@@ -14,7 +14,13 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.checks.breaks import FEWEST, cut_off, is_continuous, spikes
+from asi_analysis.measures.checks.breaks import (
+    FEWEST,
+    cut_off,
+    is_continuous,
+    spikes,
+    without_sign,
+)
 from asi_analysis.measures.checks.converter import missing_bit
 from asi_analysis.measures.checks.dead_time import only_repeats
 from asi_analysis.measures.checks.recomputed import of_controller, unrecorded
@@ -293,6 +299,10 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         reference = None if run.reference_n is None else run.reference_n[present][~wrong]
         clipped = [part | cut_off(sign * values[~wrong], reference)
                    for part, sign in zip(clipped, (-1.0, 1.0), strict=True)]
+        if without_sign(values[~wrong], reference):
+            yield Finding('sign', name, DOUBTFUL, whole_run(time),
+                          f'the {name_of(name)} is never of the other sign, and turns at 0 each '
+                          'time: is its sign lost?')
     for part, limit, word in zip(clipped, _ends(values[~wrong]), ('smallest', 'largest'),
                                  strict=True):
         if part.any():
