@@ -41,6 +41,8 @@ GAP_PERIODS: Final = 1.5
 AROUND: Final = 5
 # Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
+# Largest difference of the median from the mean period, as a share, that is no other rate.
+UNEVEN: Final = 0.05
 # Least change of the period that lasts, as a share of it and in terms of the jitter beside it;
 # fewest samples before and after it.
 OTHER_PERIOD: Final = 0.01
@@ -76,7 +78,7 @@ FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # value of a signal: squares and sums of larger ones overflow
 LOSSES: Final = frozenset(('gap', 'missing', 'cut'))
 # Findings that mark a figure but do not withhold it: it is one of another, complete recording.
-MARKING: Final = LOSSES | {'absent', 'slow', 'still'}
+MARKING: Final = LOSSES | {'absent', 'slow', 'still', 'jitter'}
 # Longest gap, in samples, over which a motion may be interpolated, and largest share of samples
 # that may be.
 BRIDGED: Final = 7
@@ -222,9 +224,13 @@ def _of_time(time: Array) -> Iterator[Finding]:
                       f'about {lost} samples are missing in {len(missing)} gaps, '
                       f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {place_of(missing)}')
     if jitter > JITTER * period:
-        yield Finding('jitter', 'time', NOTE, whole_run(time),
+        mean = float(steps[~gaps].mean())
+        rounded = abs(mean - period) > UNEVEN * period
+        yield Finding('jitter', 'time', DOUBTFUL if rounded else NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
-                      f'{100.0 * jitter / period:.0f} % of a period early or late')
+                      f'{100.0 * jitter / period:.0f} % of a period early or late' + (
+                          f', most {1e3 * period:.4g} ms apart, {1e3 * mean:.4g} ms on average: '
+                          'is the time rounded?' if rounded else ''))
     if (change := _of_period(steps[~gaps])):
         place, before, after = change
         moment = float(time[:-1][~gaps][place])

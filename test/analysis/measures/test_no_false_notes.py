@@ -117,6 +117,17 @@ def test_uneven_samples_are_noted() -> None:
     assert 'unevenly spaced' in found.text
 
 
+@pytest.mark.parametrize(('resolution_ms', 'severities'), [
+    (0.1, set()), (0.5, set()), (0.3, {'doubtful'}), (0.7, {'doubtful'}), (1.1, {'doubtful'})])
+def test_a_time_that_is_rounded_to_no_divisor_of_the_period_is_doubtful(
+        resolution_ms: float, severities: set[str]) -> None:
+    """Most samples are then 0.9 ms apart, or 0.7 ms, and the rate is another."""
+    t = of(1000.0, 1.0)
+    rounded = resolution_ms * np.round(1e3 * t / resolution_ms) / 1e3
+    found = findings(Run(rounded, None, None, np.sin(20.0 * t)))
+    assert {each.severity for each in found if each.signal == 'time'} == severities
+
+
 @pytest.mark.parametrize(('share', 'jitter', 'noted'), [
     (1.1, 0.0, True), (0.8, 0.0, True), (1.1, 0.002, True), (1.005, 0.0, False),
     (1.1, 0.05, False)])
