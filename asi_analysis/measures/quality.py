@@ -41,8 +41,10 @@ GAP_PERIODS: Final = 1.5
 AROUND: Final = 5
 # Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
-# Largest difference of the median from the mean period, as a share, that is no other rate.
-UNEVEN: Final = 0.05
+# Least difference of the median from the mean period that makes the rate doubtful: as a share of
+# it, and in terms of jitter / sqrt(samples), so that it is no chance.
+UNEVEN: Final = 0.02
+BY_CHANCE: Final = 4.0
 # Least change of the period that lasts, as a share of it and in terms of the jitter beside it;
 # fewest samples before and after it.
 OTHER_PERIOD: Final = 0.01
@@ -223,15 +225,16 @@ def _of_time(time: Array) -> Iterator[Finding]:
         yield Finding('gap', 'time', DOUBTFUL, missing,
                       f'about {lost} samples are missing in {len(missing)} gaps, '
                       f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {place_of(missing)}')
-    if jitter > JITTER * period:
-        mean = float(steps[~gaps].mean())
-        rounded = abs(mean - period) > UNEVEN * period
+    change, mean = _of_period(steps[~gaps]), float(steps[~gaps].mean())
+    rounded = not change and abs(mean - period) > max(
+        UNEVEN * period, BY_CHANCE * jitter / np.sqrt(len(time)))
+    if rounded or jitter > JITTER * period:
         yield Finding('jitter', 'time', DOUBTFUL if rounded else NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
                       f'{100.0 * jitter / period:.0f} % of a period early or late' + (
                           f', most {1e3 * period:.4g} ms apart, {1e3 * mean:.4g} ms on average: '
                           'is the time rounded?' if rounded else ''))
-    if (change := _of_period(steps[~gaps])):
+    if change:
         place, before, after = change
         moment = float(time[:-1][~gaps][place])
         yield Finding('jitter', 'time', NOTE, ((moment, float(time[-1])),),

@@ -17,7 +17,15 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
 from asi_analysis.measures.checks.recomputed import generated
-from asi_analysis.measures.quality import MARKING, Finding, Trust, findings, trust, without_spikes
+from asi_analysis.measures.quality import (
+    MARKING,
+    Finding,
+    Trust,
+    check_rate,
+    findings,
+    trust,
+    without_spikes,
+)
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
@@ -394,6 +402,7 @@ def step_response(run: Run, signal: str | None = None) -> StepResponse:
     >>> step.steps[0]['final_n']
     100.0
     """
+    check_rate(run.time_s, run.source)
     found = findings(run)
     reliable: dict[float, dict[str, bool]] = {}
     name = run.output(signal)
