@@ -249,9 +249,10 @@ def without_sign(values: Array, reference: Array | None) -> bool:
     """
     size = np.abs(values) / max(float(np.sqrt(np.mean(values ** 2))), 1e-300)
     away = np.flatnonzero(size > AWAY)
-    moves = reference is not None and np.ptp(reference) > 0.0
+    wanted = np.zeros(1) if reference is None else reference
+    moves = float(np.ptp(wanted)) > 0.0
     if not len(away) or values.min() < 0.0 < values.max() or moves and float(
-            np.ptp(reference)) < (1.0 + NEAR_0) * float(np.abs(reference).max()):
+            np.ptp(wanted)) < (1.0 + NEAR_0) * float(np.abs(wanted).max()):
         return False
     size = size[away[0]:away[-1]]
     near, twice = (np.count_nonzero(size < share) for share in (NEAR_0, 2.0 * NEAR_0))

@@ -180,7 +180,7 @@ def test_a_limit_cycle_about_0_without_its_sign_has_no_frequency() -> None:
 @pytest.mark.parametrize('compensator', ['lead_lag', 'proportional'])
 def test_a_fast_sine_of_the_wrong_sign_begins_against_its_reference(
         load: str, compensator: str) -> None:
-    """Later it looks like one that is late by half a period, as a recording without its beginning."""
+    """Later it looks like one that is late by half a period: without the beginning it does."""
     run = replace(simulate({'load.type': load, 'force_sensor.noise': 0.3}, {
         'compensator': compensator, 'reference.shape': 'sine', 'reference.frequency': 20.0,
         'reference.amplitude': 100.0}, 1.0, RATE_HZ), information={}, command_n=None,
