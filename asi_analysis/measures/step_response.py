@@ -179,9 +179,11 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     start = float(time[after])
     nothing = Step(start, initial, final, None, None, None, None, None, None, ())
     before_count = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
-    low = float(np.nanmean(output[before + 1 - before_count:before + 1]))
+    rest = output[before + 1 - before_count:before + 1]
     tail = max(1, int(STEADY_SHARE * (end - after)))
-    high = _windowed_mean(output[end - tail:end])
+    if not (np.isfinite(rest).any() and np.isfinite(output[end - tail:end]).any()):
+        return nothing._replace(notes=(f'the {words} is missing before the step or at its end',))
+    low, high = float(np.nanmean(rest)), _windowed_mean(output[end - tail:end])
     earlier = _windowed_mean(output[end - 2 * tail:end - tail])
     jump = final - initial
     if abs(high - earlier) > 0.05 * abs(jump):
