@@ -290,7 +290,7 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
     kind = random.choice(('rows lost', 'cells empty', 'every nth empty', 'clipped', 'spike',
                           'early', 'unit', 'rows twice', 'clock set', 'quantised', 'sign',
                           'sign of a part', 'unit from there', 'frozen', 'cell cut',
-                          'spike of the reference', 'copied',
+                          'spike of the reference', 'copied', 'time rounded',
                           *(OF_COMMAND if run.information else ())))
     if kind == 'rows lost':
         kept[part] = False
@@ -324,6 +324,9 @@ def spoilt(run: Run, random: Random) -> tuple[str, Run]:
         force, reference = OF_COMMAND[kind](force, reference, random)
     elif kind == 'copied':
         force = reference.copy()
+    elif kind == 'time rounded':
+        to_s = random.uniform(0.1, 3.0) * run.period_s
+        time_s = to_s * np.round(time_s / to_s)
     elif kind == 'cell cut':
         force[-1] = force[-1] // 10.0
     else:
@@ -338,6 +341,11 @@ def _without_a_bit(force: Array, random: Random) -> Array:
     span = float(np.ptp(force))
     counts = np.round(4095.0 * (force - force.min()) / span).astype(int)
     return np.asarray(force.min() + (counts & ~(1 << random.randint(5, 9))) * span / 4095.0)
+
+
+def _reversed_from(place: int, force: Array, reference: Array) -> tuple[Array, Array]:
+    return (np.append(force[:place], force[place:][::-1]),
+            np.append(reference[:place], reference[place:][::-1]))
 
 
 def _noise(force: Array, random: Random, size: float) -> Array:
@@ -361,6 +369,9 @@ OF_COMMAND: Final[dict[str, Callable[[Array, Array, Random], tuple[Array, Array]
     'missing bit': lambda force, reference, random: (_without_a_bit(force, random), reference),
     'held': lambda force, reference, random: (
         np.repeat(force[::2], 2)[:len(force)], reference),
+    'sign lost': lambda force, reference, random: (np.abs(force), reference),
+    'reversed from there': lambda force, reference, random: _reversed_from(
+        random.randrange(len(force)), force, reference),
     'another run': lambda force, reference, random: (
         force + _noise(force, random, 0.5), reference),
 }

@@ -14,7 +14,13 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.errors import InputError
-from asi_analysis.measures.checks.breaks import FEWEST, cut_off, is_continuous, spikes
+from asi_analysis.measures.checks.breaks import (
+    FEWEST,
+    cut_off,
+    is_continuous,
+    spikes,
+    without_sign,
+)
 from asi_analysis.measures.checks.converter import missing_bit
 from asi_analysis.measures.checks.dead_time import only_repeats
 from asi_analysis.measures.checks.recomputed import of_controller, unrecorded
@@ -35,6 +41,10 @@ GAP_PERIODS: Final = 1.5
 AROUND: Final = 5
 # Largest jitter (90 % quantile) as a share of the period.
 JITTER: Final = 0.1
+# Least difference of the median from the mean period that makes the rate doubtful: as a share of
+# it, and in terms of jitter / sqrt(samples), so that it is no chance.
+UNEVEN: Final = 0.02
+BY_CHANCE: Final = 4.0
 # Least change of the period that lasts, as a share of it and in terms of the jitter beside it;
 # fewest samples before and after it.
 OTHER_PERIOD: Final = 0.01
@@ -70,7 +80,7 @@ FEWEST_HELD: Final = 50
 LARGEST: Final = 1e100   # value of a signal: squares and sums of larger ones overflow
 LOSSES: Final = frozenset(('gap', 'missing', 'cut'))
 # Findings that mark a figure but do not withhold it: it is one of another, complete recording.
-MARKING: Final = LOSSES | {'absent', 'slow', 'still'}
+MARKING: Final = LOSSES | {'absent', 'slow', 'still', 'jitter'}
 # Longest gap, in samples, over which a motion may be interpolated, and largest share of samples
 # that may be.
 BRIDGED: Final = 7
@@ -215,11 +225,16 @@ def _of_time(time: Array) -> Iterator[Finding]:
         yield Finding('gap', 'time', DOUBTFUL, missing,
                       f'about {lost} samples are missing in {len(missing)} gaps, '
                       f'{1e3 * steps[gaps & ~clock].max():.4g} ms at most {place_of(missing)}')
-    if jitter > JITTER * period:
-        yield Finding('jitter', 'time', NOTE, whole_run(time),
+    change, mean = _of_period(steps[~gaps]), float(steps[~gaps].mean())
+    rounded = not change and abs(mean - period) > max(
+        UNEVEN * period, BY_CHANCE * jitter / np.sqrt(len(time)))
+    if rounded or jitter > JITTER * period:
+        yield Finding('jitter', 'time', DOUBTFUL if rounded else NOTE, whole_run(time),
                       f'the samples are unevenly spaced: a tenth of them more than '
-                      f'{100.0 * jitter / period:.0f} % of a period early or late')
-    if (change := _of_period(steps[~gaps])):
+                      f'{100.0 * jitter / period:.0f} % of a period early or late' + (
+                          f', most {1e3 * period:.4g} ms apart, {1e3 * mean:.4g} ms on average: '
+                          'is the time rounded?' if rounded else ''))
+    if change:
         place, before, after = change
         moment = float(time[:-1][~gaps][place])
         yield Finding('jitter', 'time', NOTE, ((moment, float(time[-1])),),
@@ -293,6 +308,10 @@ def _of_signal(run: Run, name: str, values: Array) -> Iterator[Finding]:
         reference = None if run.reference_n is None else run.reference_n[present][~wrong]
         clipped = [part | cut_off(sign * values[~wrong], reference)
                    for part, sign in zip(clipped, (-1.0, 1.0), strict=True)]
+        if without_sign(values[~wrong], reference):
+            yield Finding('sign', name, DOUBTFUL, whole_run(time),
+                          f'the {name_of(name)} is never of the other sign, and turns at 0 each '
+                          'time: is its sign lost?')
     for part, limit, word in zip(clipped, _ends(values[~wrong]), ('smallest', 'largest'),
                                  strict=True):
         if part.any():

@@ -16,7 +16,16 @@ from scipy import signal
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
-from asi_analysis.measures.quality import MARKING, Finding, Trust, findings, trust, without_spikes
+from asi_analysis.measures.checks.recomputed import generated
+from asi_analysis.measures.quality import (
+    MARKING,
+    Finding,
+    Trust,
+    check_rate,
+    findings,
+    trust,
+    without_spikes,
+)
 from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
@@ -30,7 +39,8 @@ DIP: Final = 0.05
 # Least ratio of the time from 50 to 90 % to that from 10 to 50 % for a creep (a first-order lag
 # has 2.7).
 CREEP: Final = 5.0
-# A settling band below this many standard deviations of the noise is missed because of noise.
+# A settling band below this many standard deviations of the noise is missed because of noise; an
+# overshoot below it may be noise.
 NOISE_MARGIN: Final = 4.0
 
 
@@ -47,6 +57,7 @@ class Step(NamedTuple):
     steady_state_error_n: float | None  # reference less the mean force at the end
     rise_shape: str | None              # monotone, dip, spike or creep
     notes: tuple[str, ...]
+    overshoot_noise_percent: float | None = None    # overshoot that noise alone may give
 
     @property
     def monotone_rise(self) -> bool | None:
@@ -168,9 +179,11 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     start = float(time[after])
     nothing = Step(start, initial, final, None, None, None, None, None, None, ())
     before_count = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
-    low = float(np.nanmean(output[before + 1 - before_count:before + 1]))
+    rest = output[before + 1 - before_count:before + 1]
     tail = max(1, int(STEADY_SHARE * (end - after)))
-    high = _windowed_mean(output[end - tail:end])
+    if not (np.isfinite(rest).any() and np.isfinite(output[end - tail:end]).any()):
+        return nothing._replace(notes=(f'the {words} is missing before the step or at its end',))
+    low, high = float(np.nanmean(rest)), _windowed_mean(output[end - tail:end])
     earlier = _windowed_mean(output[end - 2 * tail:end - tail])
     jump = final - initial
     if abs(high - earlier) > 0.05 * abs(jump):
@@ -201,7 +214,7 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
         settled.append(None if moment is None else moment - start)
     return Step(start, initial, final, ninety - ten,
                 max(0.0, 100.0 * float(share.max() - 1.0)), settled[0], settled[1], error, shape,
-                tuple(notes))
+                tuple(notes), 100.0 * NOISE_MARGIN * noise)
 
 
 def _settings(reference: Array) -> Array:
@@ -336,8 +349,13 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     rise = moving
     if moving.reliable and (step.rise_time_s or np.inf) < RESOLVED * run.period_s:
         rise = Trust(False, False, f'the samples are {1e3 * run.period_s:.4g} ms apart')
+    above = moving
+    noise, over = step.overshoot_noise_percent or 0.0, step.overshoot_percent or 0.0
+    if moving.reliable and 0.0 < over < noise:
+        above = Trust(False, False, f'the noise of the {name} alone gives up to {noise:.2g} %')
     reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
-        'rise_time_s': rise.reliable, 'steady_state_error_n': steady.reliable}
+        'rise_time_s': rise.reliable, 'overshoot_percent': above.reliable,
+        'steady_state_error_n': steady.reliable}
     if moving.withheld:
         step = step._replace(rise_time_s=None, overshoot_percent=None, settling_time_2_s=None,
                              settling_time_5_s=None, rise_shape=None)
@@ -346,7 +364,20 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     notes = moving.note('rise, overshoot and settling') + steady.note('steady-state error')
     if rise is not moving:
         notes = rise.note('rise') + notes
+    if above is not moving:
+        notes = above.note('overshoot') + notes
     return step._replace(notes=(*step.notes, *notes))
+
+
+def _lacks_a_larger(run: Run, largest: Step, found: Sequence[Finding]) -> bool:
+    """Return whether samples that the recording lacks may hold what counts as the largest step."""
+    cut = [each for each in found if each.kind == 'cut']
+    if not cut:
+        return False
+    whole = generated(run, len(run) + run.lacking)
+    size = abs(largest.final_n - largest.initial_n)
+    return whole is None or len(cut[0].intervals_s) > 1 or float(
+        np.abs(np.diff(whole)).max()) > (1.0 + ROUNDING) * size
 
 
 def step_response(run: Run, signal: str | None = None) -> StepResponse:
@@ -373,18 +404,25 @@ def step_response(run: Run, signal: str | None = None) -> StepResponse:
     >>> step.steps[0]['final_n']
     100.0
     """
+    check_rate(run.time_s, run.source)
     found = findings(run)
     reliable: dict[float, dict[str, bool]] = {}
     name = run.output(signal)
     steps = [_with_trust(step, run, name, found, reliable) for step in step_responses(run, name)]
     largest = largest_step(steps)
+    notes = list(largest.notes) if largest else [_why_no_step(run, name)]
+    of_largest = reliable.get(largest.time_s, {}) if largest else {}
+    if largest and len(steps) > 1 and _lacks_a_larger(run, largest, found):
+        of_largest = dict.fromkeys(of_largest, False)
+        notes.append('step: doubtful, as the samples that are not in the recording may hold a '
+                     'larger one, or one as large before it')
     return StepResponse({
         'signal': name,
         'unit': run.unit(name),
         **{key: getattr(largest, key) if largest else None for key in HEADLINE},
         'steps': [step._asdict() | {'monotone_rise': step.monotone_rise,
                                     'notes': list(step.notes)} for step in steps],
-        'notes': list(largest.notes) if largest else [_why_no_step(run, name)],
+        'notes': notes,
         'quality': [each.to_dict() for each in found],
-        'reliable': reliable.get(largest.time_s, {}) if largest else {}},
+        'reliable': of_largest},
         run=run, measured=steps)

@@ -7,7 +7,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.isolation import judge
 from asi_analysis.limit_cycle.detection.verdict import Segment
-from asi_analysis.measures.quality import findings, quality_of, trust
+from asi_analysis.measures.quality import check_rate, findings, quality_of, trust
 from asi_analysis.reporting.result import Pictures, Result, Table, finite, table_of
 
 # Largest confidence in a verdict that rests on doubtful samples.
@@ -43,7 +43,9 @@ def segment_as_dict(segment: Segment) -> dict[str, Any]:
 
 def trusted(run: Run, signal: str | None = None, undriven: bool = False) -> list[Segment]:
     """Return the segments of a run; those that rest on doubtful samples are marked."""
-    segments, found, marked = judge_run(run, signal, undriven), findings(run), []
+    segments = judge_run(run, signal, undriven)
+    check_rate(run.time_s, run.source)
+    found, marked = findings(run), []
     for segment in segments:
         samples = trust(found, run, (segment.signal, 'reference'), segment.start_s, segment.end_s)
         marked.append(segment if samples.reliable else segment._replace(

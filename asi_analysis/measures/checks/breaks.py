@@ -45,6 +45,13 @@ CUT_OFF: Final = 8
 STILL: Final = 0.2
 LEAST_NOISE: Final = 1e-4
 OFTEN: Final = 0.1      # share of other samples without a bend, or least bend, that is usual
+# A signal whose sign is lost: the samples below the first share of its rms are LINEAR of those
+# below twice as much, in so many places between which it exceeds the last share.
+NEAR_0: Final = 0.25
+LINEAR: Final = (0.35, 0.65)
+FEWEST_TURNS: Final = 2
+MANY_TURNS: Final = 10
+AWAY: Final = 0.6
 # A change of sign: largest error of the mirrored value, and largest change before and after the
 # jump, as a share of the jump.
 MIRRORED: Final = 0.4
@@ -230,6 +237,28 @@ def straight(values: Array) -> list[tuple[int, int]]:
         return []
     return [(int(first), int(end) + 1) for first, end in long
             if first > 0 and values[first] != values[end + 1]]
+
+
+def without_sign(values: Array, reference: Array | None) -> bool:
+    """
+    Return whether the sign of n samples is lost: each time they go to 0 they turn there at once.
+
+    A signal that goes through 0 has twice as many samples within twice a distance from it. What
+    rests at 0 has as many, what turns there smoothly 1.4 times, and what has noise is negative.
+    Its reference must have both signs, or rest while the signal turns many times.
+    """
+    size = np.abs(values) / max(float(np.sqrt(np.mean(values ** 2))), 1e-300)
+    away = np.flatnonzero(size > AWAY)
+    wanted = np.zeros(1) if reference is None else reference
+    moves = float(np.ptp(wanted)) > 0.0
+    if not len(away) or values.min() < 0.0 < values.max() or moves and float(
+            np.ptp(wanted)) < (1.0 + NEAR_0) * float(np.abs(wanted).max()):
+        return False
+    size = size[away[0]:away[-1]]
+    near, twice = (np.count_nonzero(size < share) for share in (NEAR_0, 2.0 * NEAR_0))
+    far = size[(size < NEAR_0) | (size > AWAY)] > AWAY
+    return bool(np.count_nonzero(far[:-1] & ~far[1:]) >= (FEWEST_TURNS if moves else MANY_TURNS)
+                and LINEAR[0] * twice < near < LINEAR[1] * twice)
 
 
 def cut_off(values: Array, reference: Array | None) -> Mask:

@@ -132,6 +132,22 @@ def moves_against_steps(reference: Array, values: Array, least: float) -> bool:
     return bool(shares) and max(shares) < -least
 
 
+def begins_against(reference: Array, values: Array, least: float) -> bool:
+    """
+    Return whether a signal at rest first goes against its reference, by `least` of its range.
+
+    Before the reference returns: later a sine of the wrong sign looks like one that is late by
+    half a period.
+    """
+    begin = int(np.argmax(reference != reference[0]))
+    if begin < SETTLED_SAMPLES:
+        return False
+    wanted = (reference - reference[0]) * np.sign(reference[begin] - reference[0])
+    moved = values - np.median(values[:begin])
+    first = int(np.argmax(np.abs(moved) > least * np.abs(moved).max()))
+    return begin < first and moved[first] < 0.0 and bool((wanted[begin:first] > 0.0).all())
+
+
 def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
     """Return intervals from a response to the later jump of the reference that causes it."""
     found = []

@@ -13,21 +13,24 @@ conclusion.
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import linalg
 
 from asi_analysis.arrays import Array, Mask
+from asi_analysis.measures.checks.rows import (
+    MOST_FITTED,
+    ORDER,
+    RANK_TOLERANCE,
+    Rows,
+    fit,
+    rows_of,
+    sizes_of,
+)
 
-# Order of the difference equation: earlier samples in it, as many as a compensator of this package
-# has poles.
-ORDER: Final = 8
 LEAST_ROWS: Final = 20 * ORDER      # commands to which the equation is fitted
-MOST_FITTED: Final = 5000           # the same, at most
 PARTS: Final = 8                    # of the recording; the fit is begun with each
 REFITS: Final = 5
-# Largest residual of an exact equation, as a share of the range of the command; least share of the
-# rows that must satisfy it: of fewer, it is a coincidence or another controller.
-EXACT: Final = 1e-6
+# Least share of the rows that must satisfy an equation: of fewer it is a coincidence, or another
+# controller's.
 LEAST_SATISFIED: Final = 0.5
 # Least residual, as a share of the range of the command, that violates the equation.
 BREAK: Final = 1e-3
@@ -40,14 +43,7 @@ LEAST_MEMORY: Final = 3     # samples of a signal in an equation that can show a
 NEARLY_ALL: Final = 0.9     # share of the samples that are compared
 LARGEST_POLE: Final = 1.01  # of a stable equation, an integrator's pole with its error
 MOST_LOST: Final = 2        # places with lost rows; with more, the controller is not linear
-# Least number of digits of a recording that is compared; digits beyond which none are counted.
-FEWEST_DIGITS: Final = 5
-MOST_DIGITS: Final = 12
-# Singular values below this share of the largest are rounding errors.
-RANK_TOLERANCE: Final = 1e-10
 CLEAR: Final = 3.0      # of rounding errors; their standard deviation is a tenth of this
-# Digits of a limit, such as a saturation; a recording has two more.
-LIMIT_DIGITS: Final = 6
 # Factors of a wrong sign or unit of force: N in mN, kN, lbf, kgf; feed-forwards of the reference
 # that controllers have; rows with which each is tried.
 FACTORS: Final = (1.0, -1.0, 1e3, 1e-3, 4.4482216, 1.0 / 4.4482216, 9.80665, 1.0 / 9.80665)
@@ -73,6 +69,7 @@ class Break(NamedTuple):
     factor: float | None
     offset: float | None
     lost: bool      # rows may be lost or repeated here: as many commands as the order violate it
+    backwards: bool     # its rows satisfy the law in the reverse order
 
 
 class ControlLaw(NamedTuple):
@@ -103,32 +100,8 @@ class ControlLaw(NamedTuple):
         return self._replace(
             reference=self.reference if sure else np.nan, signal=self.signal if sure else np.nan,
             factor=self.factor if sure else None,
-            breaks=tuple(each for each in self.breaks if each.factor is not None))
-
-
-class Rows(NamedTuple):
-    """The equations of the fit, one row a command."""
-
-    samples: npt.NDArray[np.intp]   # index of the command
-    known: Array                    # n x columns: earlier commands, references, signals
-    command: Array
-    order: int                      # earlier samples of each signal
-    rounding: float                 # of the recorded numbers, as a share of the largest
-
-    def exact(self) -> float:
-        """Return the largest residual of an exact equation, in the unit of the command."""
-        return max(EXACT, self.rounding) * float(np.ptp(self.command))
-
-    def of_order(self, order: int) -> 'Rows':
-        """Return the rows for an equation of a lower order."""
-        commands, references, signals = self.groups()
-        return Rows(self.samples, np.hstack([commands[:, :order], references[:, :order + 1],
-                                              signals[:, :order + 1]]), self.command, order,
-                     self.rounding)
-
-    def groups(self) -> list[Array]:
-        """Return the columns of the earlier commands, of the references and of the signals."""
-        return np.split(self.known, [self.order, 2 * self.order + 1], axis=1)
+            breaks=tuple(each for each in self.breaks
+                         if each.factor is not None or each.backwards))
 
 
 def control_law(time: Array, command: Array, reference: Array, signal: Array
@@ -219,61 +192,6 @@ def _likely_delays(change: Array, other: Array, most: int) -> list[int]:
             for lag in np.argsort(-np.abs(np.fft.irfft(each)[1:most]))[:DELAYS_TRIED]]
 
 
-def rows_of(time: Array, command: Array, reference: Array, signal: Array) -> Rows:
-    """Return the rows without missing samples, and without a limited or held command."""
-    count = len(time)
-    free = np.isfinite(command)
-    rounding = max(_rounding(command), _rounding(signal))
-    digits = round(min(LIMIT_DIGITS, -np.log10(rounding) - 1.0)) if rounding else LIMIT_DIGITS
-    for extreme in (np.nanmax(command), np.nanmin(command)) if free.any() else ():
-        if float(f'{extreme:.{digits}g}') == extreme:      # a round number: a limit
-            free &= command != extreme
-    free[1:] &= command[1:] != command[:-1]
-    free[:-1] &= command[1:] != command[:-1]
-    # Any linear controller rests at 0: what it does with the first change is known.
-    rests = (command == 0.0) & (reference == 0.0) & (signal == 0.0)
-    for begin in np.flatnonzero(rests[:-1] & ~rests[1:]):
-        part = slice(max(int(begin) + 1 - ORDER, 0), int(begin) + 1)
-        free[part] |= rests[part]
-    usable = free & np.isfinite(reference) & np.isfinite(signal)
-    steps = np.diff(time, prepend=time[0] - 1.0)
-    usable &= np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)
-    whole = np.convolve(usable, np.ones(ORDER + 1))[:count] > ORDER + 0.5
-    samples = np.flatnonzero(whole)
-    columns = [command[samples - lag] for lag in range(1, ORDER + 1)]
-    columns += [values[samples - lag] for values in (reference, signal)
-                for lag in range(ORDER + 1)]
-    return Rows(samples, np.stack(columns, axis=1), command[samples], ORDER, rounding)
-
-
-def _rounding(values: Array) -> float:
-    """
-    Return the rounding error of a number with as many digits as n samples have, as a share of it.
-
-    0 for few digits: those of a sensor, which the controller had too.
-    """
-    known = values[np.isfinite(values) & (values != 0.0)]
-    known = known[::1 + len(known) // MOST_FITTED]
-    exponents = np.floor(np.log10(np.abs(known)))
-    for digits in range(1, MOST_DIGITS):
-        scaled = known * 10.0 ** (digits - 1 - exponents)
-        if (np.abs(scaled - np.round(scaled)) < 1e-3).all():
-            return float(10.0 ** (1 - digits)) if digits >= FEWEST_DIGITS else 0.0
-    return 0.0
-
-
-def _sizes(known: Array) -> Array:
-    """Return the largest absolute value of each column, 1 for a column of zeros."""
-    sizes = np.abs(known).max(axis=0)
-    return np.where(sizes > 0.0, sizes, 1.0)
-
-
-def fit(known: Array, command: Array) -> Array:
-    """Return the coefficients of the columns by least squares."""
-    scale = _sizes(known)
-    return np.asarray(np.linalg.lstsq(known / scale, command, rcond=RANK_TOLERANCE)[0] / scale)
-
-
 def _satisfied(rows: Rows) -> Mask | None:
     """Return which rows satisfy the equation that most rows satisfy; None if these are too few."""
     step = 1 + len(rows.samples) // MOST_FITTED
@@ -332,7 +250,7 @@ class _Space:
     """The space spanned by the rows of a fit: outside it the fit determines no command."""
 
     def __init__(self, rows: Rows, valid: Mask, factors: Array) -> None:
-        self.scale = _sizes(rows.known[valid])
+        self.scale = sizes_of(rows.known[valid])
         _, values, vectors = np.linalg.svd(rows.known[valid] / self.scale, full_matrices=False)
         self.vectors = vectors[values > max(RANK_TOLERANCE, CLEAR * rows.rounding) * values[0]]
         self.largest = float(np.linalg.norm(factors * self.scale))
@@ -393,7 +311,7 @@ def _scale(rows: Rows, valid: Mask, span: float, factors: Array, known: Mask) ->
         return None
     earlier, references, signals = (each[valid] for each in rows.groups())
     excited = np.hstack([earlier, signals])
-    if np.linalg.cond(excited / _sizes(excited)) > min(
+    if np.linalg.cond(excited / sizes_of(excited)) > min(
             SAMPLES_CONDITION, 1.0 / max(rows.rounding, RANK_TOLERANCE)):
         return None
     beyond = rows.command[valid] - earlier @ before - signals @ own
@@ -422,7 +340,7 @@ def _has_memory(rows: Rows, valid: Mask, span: float) -> bool:
 def _is_stable(rows: Rows, valid: Mask, factors: Array) -> bool | None:
     """Return whether the equation is stable, None if it has no memory or its samples few sines."""
     excited = rows.known[valid]
-    if not rows.order or np.linalg.cond(excited / _sizes(excited)) > SAMPLES_CONDITION:
+    if not rows.order or np.linalg.cond(excited / sizes_of(excited)) > SAMPLES_CONDITION:
         return None
     poles = np.roots([1.0, *-factors[:rows.order]])
     return bool(np.abs(poles).max(initial=0.0) < LARGEST_POLE)
@@ -443,6 +361,8 @@ def _breaks(rows: Rows, factors: Array, residual: Array, span: float, has_memory
     if len(groups) > MOST_BREAKS:
         return []
     _, of_reference, of_signal = np.split(factors, [rows.order, 2 * rows.order + 1])
+    reverse = rows.backwards()
+    as_reverse = np.abs(reverse.command - reverse.known @ factors) < 10.0 * rows.exact()
     found = []
     for group in groups:
         part = slice(group[0], group[-1] + 1)
@@ -452,9 +372,12 @@ def _breaks(rows: Rows, factors: Array, residual: Array, span: float, has_memory
             rows.samples) - LEAST_DISTANCE
         factor, offset = _altered(rows, part, rest, of_signal)
         lost = 0 < len(rest) == rows.order and np.abs(rest).min() > 10.0 * rows.exact()
-        if factor is not None or inside and has_memory and (lost or _explained(rest, of_signal)
-                                             or _explained(rest, of_reference)):
-            found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost)))
+        within = slice(group[0] + rows.order, group[-1] - rows.order + 1)
+        backwards = group[-1] - group[0] > 4 * ORDER and bool(as_reverse[within].all())
+        altered = lost or _explained(rest, of_signal) or _explained(rest, of_reference)
+        if factor is not None or backwards or inside and has_memory and altered:
+            found.append(Break(int(samples[0]), int(samples[-1]), factor, offset, bool(lost),
+                               backwards))
     return found
 
 

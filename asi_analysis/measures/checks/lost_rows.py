@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.measures.checks.control_law import ORDER, Rows, fit, rows_of
+from asi_analysis.measures.checks.rows import ORDER, Rows, fit, rows_of
 from asi_analysis.measures.finding import Interval
 
 # Largest difference of a step of the position from a whole number of steps by the velocity, and

@@ -18,6 +18,7 @@ from asi_analysis.bags.run import CONTROLLED, Run
 from asi_analysis.measures.checks.breaks import frozen, jumps, spikes, straight
 from asi_analysis.measures.checks.causality import (
     SOON,
+    begins_against,
     in_time,
     moves_against_steps,
     of_exchange,
@@ -155,7 +156,8 @@ def _moves_against(reference: Array, values: Array) -> bool:
         return True
     against, lag = largest_correlation(reference, -values)
     return against > CORRELATED and 0.0 <= lag < SOON * len(values) and (
-        largest_correlation(reference, values, SOON)[0] < CLEARLY * against)
+        begins_against(reference, values, SAME_SIZE)
+        or largest_correlation(reference, values, SOON)[0] < CLEARLY * against)
 
 
 def _rests(run: Run, name: str, reference: Array, values: Array) -> Finding | None:
@@ -288,8 +290,11 @@ def _of_command(run: Run, name: str, moved: float, correlation: float) -> _ByCom
                 'samples were lost, repeated or altered' if part.factor is None else
                 f'the command responds to {part.factor:.4g} times the {{}} {part.offset:+.4g} '
                 f'{run.unit(name)} {{}}: it was altered after the controller had it')
-        problems.append(Finding('answer', 'time' if part.factor is None else name, DOUBTFUL,
-                                where, what.format(words, place_of(where))))
+        if part.backwards:
+            what = 'each command follows from later samples {1}: this part runs backwards'
+        problems.append(Finding('time_order' if part.backwards else 'answer',
+                                'time' if part.backwards or part.factor is None else name,
+                                DOUBTFUL, where, what.format(words, place_of(where))))
     usual = alike and USUAL_GAIN[0] < abs(found.signal) < USUAL_GAIN[1]
     return _ByCommand(problems, usual or found.factor == 1.0,
                       found.everywhere and found.signal < 0.0 and not found.reference < 0.0,

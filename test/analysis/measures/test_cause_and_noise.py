@@ -140,3 +140,52 @@ def test_a_force_mirrored_while_its_reference_rests_is_found(compensator: str) -
     mirrored = changed(run, lambda f: np.append(f[:900], 2.0 * f[900] - f[900:]))
     assert kinds(run) == set()
     assert kinds(mirrored) == {('answer', 'force')}
+
+
+@pytest.mark.parametrize(('shape', 'compensator'), [('step', 'lead_lag'), ('multisine', 'lead2')])
+def test_a_part_of_which_the_rows_are_reversed_follows_from_later_samples(
+        shape: str, compensator: str) -> None:
+    """The law of the rest of the run is exact there too, in the reverse order."""
+    run = a_loop(shape, compensator)
+    rows = np.arange(len(run))
+    rows[700:800] = rows[700:800][::-1]
+    found, = findings(replace(of_rows(run, rows), time_s=run.time_s))
+    assert (found.kind, found.signal, found.severity) == ('time_order', 'time', 'doubtful')
+    assert found.intervals_s[0] == pytest.approx((0.7, 0.8), abs=0.003)
+
+
+@pytest.mark.parametrize(('shape', 'frequency_hz'), [
+    ('sine', 1.0), ('sine', 20.0), ('multisine', 1.0), ('chirp', 1.0), ('triangle', 1.0)])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_force_without_its_sign(shape: str, frequency_hz: float, sign: float) -> None:
+    run = replace(a_loop(shape, **{'reference.frequency': frequency_hz}), command_n=None)
+    assert findings(run) == []
+    unsigned = changed(run, lambda f: sign * np.abs(f))
+    assert ('sign', 'force') in kinds(unsigned)
+    assert analyze(unsigned).tracking_error_rms_n is None
+
+
+def test_a_limit_cycle_about_0_without_its_sign_has_no_frequency() -> None:
+    """It would be twice as large. What rests at 0, or turns there smoothly, has its sign."""
+    t = np.arange(1500) / RATE_HZ
+    cycle = 40.0 * np.sin(2.0 * np.pi * 80.0 * t)
+    for force, found in ((cycle, []), (np.abs(cycle), [('sign', 'force')]),
+                         (np.maximum(np.roll(cycle, 3), 0.0), []), (40.0 + cycle, [])):
+        run = Run(t, 0.0 * t, None, force)
+        assert [(each.kind, each.signal) for each in findings(run)] == found
+        assert (analyze(run).oscillation['frequency_hz'] is None) == bool(found)
+
+
+@pytest.mark.parametrize('load', ['spring', 'locked'])
+@pytest.mark.parametrize('compensator', ['lead_lag', 'proportional'])
+def test_a_fast_sine_of_the_wrong_sign_begins_against_its_reference(
+        load: str, compensator: str) -> None:
+    """Later it looks like one that is late by half a period: without the beginning it does."""
+    run = replace(simulate({'load.type': load, 'force_sensor.noise': 0.3}, {
+        'compensator': compensator, 'reference.shape': 'sine', 'reference.frequency': 20.0,
+        'reference.amplitude': 100.0}, 1.0, RATE_HZ), information={}, command_n=None,
+        position_m=None, velocity_m_s=None, valve_position_m=None)
+    assert findings(run) == []
+    wrong = changed(run, lambda f: -f)
+    assert kinds(wrong) == {('sign', 'force')}
+    assert findings(wrong[60:]) == []

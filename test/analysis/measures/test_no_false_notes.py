@@ -1,12 +1,15 @@
 """Recordings of healthy machines of others: nothing is noted that is not true."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import asi_analysis as asi
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.quality import findings
 
@@ -115,6 +118,28 @@ def test_uneven_samples_are_noted() -> None:
     found, = findings(Run(t + 0.2 / 250.0 * rng.normal(size=len(t)), None, None, np.sin(t)))
     assert (found.kind, found.severity) == ('jitter', 'note')
     assert 'unevenly spaced' in found.text
+
+
+@pytest.mark.parametrize(('resolution_ms', 'severities'), [
+    (0.1, set()), (0.5, set()), (0.12, {'doubtful'}), (0.3, {'doubtful'}), (0.7, {'doubtful'}),
+    (1.1, {'doubtful'})])
+def test_a_time_that_is_rounded_to_no_divisor_of_the_period_is_doubtful(
+        resolution_ms: float, severities: set[str]) -> None:
+    """Most samples are then 0.9 ms apart, or 0.7 ms, and the rate is another."""
+    t = of(1000.0, 1.0)
+    rounded = resolution_ms * np.round(1e3 * t / resolution_ms) / 1e3
+    found = findings(Run(rounded, None, None, np.sin(20.0 * t)))
+    assert {each.severity for each in found if each.signal == 'time'} == severities
+
+
+@pytest.mark.parametrize('analysis', [
+    asi.analyze, asi.step_response, asi.detect_limit_cycles])
+def test_a_time_that_is_rounded_to_four_periods_has_no_rate(
+        analysis: Callable[[Run], object]) -> None:
+    t = of(1000.0, 1.5)
+    run = Run(0.004 * np.round(t / 0.004), 0.0 * t, None, np.sin(500.0 * t))
+    with pytest.raises(InputError, match='in bursts'):
+        analysis(run)
 
 
 @pytest.mark.parametrize(('share', 'jitter', 'noted'), [

@@ -151,6 +151,37 @@ def test_a_step_before_the_last_one_of_a_bag_that_was_cut_is_reliable(tmp_path: 
     assert not answer.reliable['tracking_error_rms_n']
 
 
+@pytest.mark.parametrize(('part', 'reliable'), [
+    (slice(1200), True), (slice(300, None), False), (slice(None), True)])
+def test_the_largest_step_of_a_prbs_that_was_cut(
+        part: slice, reliable: bool, tmp_path: Path) -> None:
+    """The first of equal ones: it may lie before a cut, but not behind it."""
+    run = simulate({'force_sensor.noise': 0.1}, {
+        'compensator': 'lead4', 'reference.shape': 'prbs', 'reference.amplitude': 100.0,
+        'reference.frequency': 10.0}, 1.5, 1000.0)
+    write_bag(run[part], tmp_path / 'cut')
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', InputWarning)
+        answer = analyze(read_bag(tmp_path / 'cut'))
+    assert len(answer.steps) > 2
+    assert answer.reliable['rise_time_s'] is reliable
+    assert any('may hold a larger one' in note for note in answer.notes) is not reliable
+
+
+def test_an_overshoot_within_the_noise_is_doubtful() -> None:
+    """Each step has how much of its overshoot the noise alone may give."""
+    quiet, noisy = (analyze(simulate(
+        {'load.type': 'locked', 'force_sensor.noise': noise}, {
+            'compensator': 'lead2', 'reference.shape': 'step', 'reference.amplitude': 100.0},
+        0.6, 1000.0)) for noise in (0.0, 2.0))
+    within = noisy.steps[0]['overshoot_noise_percent']
+    assert 0.0 < abs(noisy.overshoot_percent - quiet.overshoot_percent) < within
+    assert noisy.overshoot_percent < within
+    assert quiet.reliable['overshoot_percent'] and not noisy.reliable['overshoot_percent']
+    assert noisy.reliable['rise_time_s']
+    assert any(note.startswith('overshoot: doubtful') for note in noisy.notes)
+
+
 def test_a_force_altered_while_the_command_is_saturated_is_doubtful_to_its_end() -> None:
     run = simulate({'load.type': 'spring', 'force_sensor.noise': 0.3}, {
         'compensator': 'lead4', 'reference.shape': 'step', 'reference.amplitude': 100.0,

@@ -156,3 +156,13 @@ def test_a_force_that_has_risen_when_its_reference_jumps_has_no_reliable_respons
     assert not any(found.reliable[name] for name in (
         'rise_time_s', 'overshoot_percent', 'settling_time_2_s', 'bandwidth_hz'))
     assert 'has risen within the sample at which the reference jumps' in found.notes[0]
+
+
+@pytest.mark.parametrize('lost', [slice(250, None), slice(250), slice(3000, None)])
+def test_a_step_without_a_force_before_it_or_after_it_is_not_measured(lost):
+    run = step_run(lambda t: second_order(t, 0.456, 100.0))
+    force = run.force_n.copy()
+    force[lost] = np.nan
+    found = analyze(Run(run.time_s, reference_n=run.reference_n, force_n=force))
+    assert found.rise_time_s is None
+    assert any('missing before the step or at its end' in note for note in found.notes)
