@@ -158,7 +158,8 @@ class Posterior(Problem):
         range.
         """
         coarse = self._coarser(theta)
-        residual = coarse.residual(theta) if base is None or coarse is not self else base
+        if base is None or coarse is not self:
+            base = coarse._residual_of(coarse.record(theta))
 
         def column(number: int) -> Array:
             name = self.free[number].field
@@ -167,7 +168,7 @@ class Posterior(Problem):
             moved = theta.copy()
             step = size if theta[number] < 0.5 else -size
             moved[number] += step
-            return (coarse.residual(moved) - residual) / step
+            return (coarse._residual_of(coarse.record(moved)) - base) / step
 
         return np.array(list(self.in_parallel(column, range(theta.size)))).T
 
