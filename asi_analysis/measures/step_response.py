@@ -42,6 +42,7 @@ CREEP: Final = 5.0
 # A settling band below this many standard deviations of the noise is missed because of noise; an
 # overshoot below it may be noise.
 NOISE_MARGIN: Final = 4.0
+ROUNDING_PERCENT: Final = 1e-9     # of a step: a smaller noise is the computer's rounding
 
 
 class Step(NamedTuple):
@@ -351,7 +352,7 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
         rise = Trust(False, False, f'the samples are {1e3 * run.period_s:.4g} ms apart')
     above = moving
     noise, over = step.overshoot_noise_percent or 0.0, step.overshoot_percent or 0.0
-    if moving.reliable and 0.0 < over < noise:
+    if moving.reliable and 0.0 < over < noise and noise > ROUNDING_PERCENT:
         above = Trust(False, False, f'the noise of the {name} alone gives up to {noise:.2g} %')
     reliable[step.time_s] = dict.fromkeys(TRANSIENT, moving.reliable) | {
         'rise_time_s': rise.reliable, 'overshoot_percent': above.reliable,
