@@ -28,7 +28,7 @@ from asi_analysis.gap.model.group import (
     with_valve_gain,
 )
 from asi_analysis.gap.model.predict import judged_error
-from asi_analysis.gap.model.simulator import SUBSTEPS_S, metres_per_newton
+from asi_analysis.gap.model.simulator import metres_per_newton
 from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.gap.prepare import first_of_recording
 from asi_analysis.parallel import cores
@@ -47,7 +47,6 @@ DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
 # recordings is fitted first: with a small weight of the data, then HEAVIER times more, so many
 # Jacobians each; at the end until a round gains less than a share of the cost.
 FAR, PART, HEAVIER, LIGHT_ROUNDS, ROUGHLY = 10.0, 0.125, 100.0, 3, 0.03
-SUBSTEP, COARSER = 'maximum_substep', 4.0   # of a Jacobian, as a multiple of the residual's
 RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
 MOST_STEPS = 2   # for each parameter, with Broyden's updates of one Jacobian
 LEAST_COST = 1e-300
@@ -152,14 +151,10 @@ class Posterior(Problem):
         """
         Return the Jacobian of the residual: samples by parameters, from finite differences.
 
-        With a longer sub-step than that of the residual, unless an effect has one of its own: its
-        integration error hardly depends on the parameters. known: columns, by field, that are not
-        computed again; base: the residual, if known; size: of the differences, as a share of each
-        range.
+        known: columns, by field, that are not computed again; base: the residual, if known;
+        size: of the differences, as a share of each range.
         """
-        coarse = self._coarser(theta)
-        if base is None or coarse is not self:
-            base = coarse._residual_of(coarse.record(theta))
+        residual = self.residual(theta) if base is None else base
 
         def column(number: int) -> Array:
             name = self.free[number].field
@@ -168,17 +163,9 @@ class Posterior(Problem):
             moved = theta.copy()
             step = size if theta[number] < 0.5 else -size
             moved[number] += step
-            return (coarse._residual_of(coarse.record(moved)) - base) / step
+            return (self._residual_of(self.record(moved)) - residual) / step
 
         return np.array(list(self.in_parallel(column, range(theta.size)))).T
-
-    def _coarser(self, theta: Array) -> 'Posterior':
-        """Return the posterior with a longer sub-step, unless that is fixed by a hypothesis."""
-        own = float(self.record(theta)['maximum_substep'])
-        longer = min(COARSER * own, SUBSTEPS_S[0])
-        if longer <= own or any(name == SUBSTEP for name, _ in self.fixed):
-            return self
-        return replace(self, fixed=(*self.fixed, (SUBSTEP, longer)))
 
     def in_parallel(self, function: Callable[[Item], Made], items: Iterable[Item]
                     ) -> Iterator[Made]:

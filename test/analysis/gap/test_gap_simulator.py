@@ -263,7 +263,7 @@ def test_a_fit_that_leaves_nothing_has_an_interval(monkeypatch):
     monkeypatch.setattr(Posterior, 'residual', lambda *each: 0.0 * residual(*each))
     found = fitted(problem, best)
     low, high = interval(found, likelihood(found), 'valve_flexure_delay')
-    assert low < found.values['valve_flexure_delay'] < high < 1.02 * low
+    assert low < found.values['valve_flexure_delay'] < high < 1.001 * low
 
 
 def test_other_laws_keep_their_model_error_in_a_quiet_recording():
