@@ -366,10 +366,9 @@ def test_ctrl_c_ends_a_compilation(tmp_path):
     assert not list(tmp_path.rglob('*_close_block*')), 'it went on to compile'
 
 
-def test_ctrl_c_between_two_calls_of_llvm_ends_at_once(tmp_path):
-    """A KeyboardInterrupt in llvmlite left objects that were incomplete: once it crashed."""
-    script = tmp_path / 'compiles.py'
-    script.write_text("""
+def _ctrl_c_while_compiling(script, before=''):
+    """Run a process that gets SIGINT while numba compiles, between two calls of LLVM."""
+    script.write_text(before + """
 import signal
 import numba
 import asi_common.jit
@@ -387,32 +386,23 @@ numba.njit(lambda: answer())()
     assert (process.returncode, process.stderr) == (130, 'asi: interrupted\n')
 
 
+def test_ctrl_c_between_two_calls_of_llvm_ends_at_once(tmp_path):
+    """A KeyboardInterrupt in llvmlite left objects that were incomplete: once it crashed."""
+    _ctrl_c_while_compiling(tmp_path / 'compiles.py')
+
+
 def test_ctrl_c_while_compiling_is_said_once(tmp_path):
     """Two threads see it: the one that watches, and Python's handler if LLVM has just returned."""
-    script = tmp_path / 'compiles.py'
-    script.write_text("""
-import os, signal, time
-import numba
-import asi_common.jit
-from asi_analysis import command
-from asi_analysis.cli import interrupt
+    _ctrl_c_while_compiling(tmp_path / 'compiles.py', """
+import os, time
 write = os.write
 def slow(*arguments):
     write(*arguments)
     time.sleep(0.5)     # in which the other thread comes to write
 os.write = slow
-def answer(): pass
-@numba.extending.overload(answer)
-def typed():
-    signal.raise_signal(signal.SIGINT)
-    return lambda: 1.0
-signal.signal(signal.SIGINT, command._raise)
+from asi_analysis.cli import interrupt
 interrupt.end_while_compiling()
-numba.njit(lambda: answer())()
 """)
-    process = subprocess.run([sys.executable, script], capture_output=True, text=True,
-                             env={**os.environ, 'PYTHONPATH': str(ROOT)})
-    assert (process.returncode, process.stderr) == (130, 'asi: interrupted\n')
 
 
 def test_too_many_open_files_are_told_in_one_line(monkeypatch, capsys):
