@@ -1,5 +1,6 @@
 """What the nodes can be reached by: without a range, or with LOCALHOST, by this machine alone."""
 
+import itertools
 import os
 import signal
 import socket
@@ -78,9 +79,9 @@ def test_a_node_says_twice_a_second_that_it_is_there(
         unknown.bind(('127.0.0.1', 7410 + 250 * int(ros_environment['ROS_DOMAIN_ID']) + 2 * 31))
         unknown.settimeout(PATIENCE_S)
         start_node(ACTUATOR, mode='realtime', rate_hz=200.0)
-        # The first five are 0.1 s apart.
-        times = [time.monotonic() for _ in range(10) if unknown.recv(65536).startswith(b'RTPS')]
-    assert times[-1] - times[0] < 10.0
+        times = [time.monotonic() for _ in range(12) if unknown.recv(65536).startswith(b'RTPS')]
+    # The first five are 0.1 s apart. A busy machine delays some, but hardly each of the others.
+    assert min(after - before for before, after in itertools.pairwise(times[6:])) < 2.0
 
 
 # Prints how many of 1500 states it misses, as best effort delivers them.
