@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.inference.posterior import Posterior, mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import (
+    LIGHT_ROUNDS,
+    Posterior,
+    mean_squares,
+    most_probable,
+)
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
 from asi_analysis.gap.inference.simulated.found import Found
@@ -18,9 +23,9 @@ from asi_analysis.gap.model.simulator import SUBSTEPS_S
 # until that changes the log posterior by less than SETTLED, or by less than a share of what noise
 # does not explain.
 CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
-# Of the weight of the data, for a fit with usual parameters: the factor of each next fit, the
-# smallest share, and the Jacobians of each fit.
-LIGHTER, LEAST_SHARE, LIGHT_ROUNDS = 0.125, 1e-6, 3
+# Of the weight of the data, for a fit with usual parameters: the factor of each next fit, and the
+# smallest one.
+LIGHTER, LEAST_SHARE = 0.125, 1e-6
 
 
 def converged(found: Found, goal: float = math.inf) -> Found:

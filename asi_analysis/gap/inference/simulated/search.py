@@ -370,12 +370,12 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     far = problem.is_far(base.best.cost)
 
     def rough(start: Start) -> Found:
-        own, alone = {free.field for free in start.variant.free}, replace(start.problem, pool=None)
+        own, single = {free.field for free in start.variant.free}, replace(start.problem, pool=None)
         begun = Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                       start.problem, base.best._replace(slopes=None))
         if far:   # the first part of the recordings shows well enough which effect it is
-            return begun.at(of_first_part(alone, start.theta).theta)
-        best = most_probable(alone, start.theta, ROUGH_ROUNDS, {
+            return begun.at(of_first_part(single, start.theta).theta)
+        best = most_probable(single, start.theta, ROUGH_ROUNDS, {
             field: column for field, column in screened.slopes.items() if field not in own})
         return begun._replace(best=best._replace(slopes=None))
 
