@@ -370,7 +370,8 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
     far = problem.is_far(base.best.cost)
 
     def rough(start: Start) -> Found:
-        own, single = {free.field for free in start.variant.free}, replace(start.problem, pool=None)
+        own = {free.field for free in start.variant.free}
+        single = replace(start.problem, pool=None)
         begun = Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                       start.problem, base.best._replace(slopes=None))
         if far:   # the first part of the recordings shows well enough which effect it is
