@@ -75,6 +75,9 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('valve_hysteresis.rounding', 0.0, '',
               'Share of the loop that moves in plays of half widths from 0 to twice the '
               'half width, which rounds its corners; 0: one play', 0.0, 1.0),
+    Parameter('valve_hysteresis.lagged', 0.0, '',
+              'Share of lag_time that is a first-order lag of the flux instead of a growth of '
+              'the half width', 0.0, 1.0),
     Parameter('valve_hysteresis.widening', 0.0, 'N/N',
               'Slope that further plays add for large commands: the loop widens with the '
               'amplitude; 0: none', 0.0, 100.0),

@@ -38,7 +38,13 @@ from asi_actuator.model.valve_flexure import (
     flexure_step,
     valve_flexure,
 )
-from asi_actuator.model.valve_hysteresis import FURTHER, magnetise, rate_decay
+from asi_actuator.model.valve_hysteresis import (
+    AT_ONCE,
+    FURTHER,
+    MagnetStep,
+    magnet_step,
+    magnetise,
+)
 from asi_actuator.parameters import RING
 from asi_common.jit import FULL, inlined, jit
 from asi_common.parameter import ParameterError
@@ -53,6 +59,8 @@ STATE_DTYPE = np.dtype([
     ('flux', np.float64),               # N, memory of the hysteresis
     ('rounding_plays', np.float64, (FURTHER,)),  # N, of a loop with rounded corners
     ('further_plays', np.float64, (FURTHER,)),  # N, of a loop that widens with the amplitude
+    ('plays_flux', np.float64),         # N, of all plays, before the lag of the flux
+    ('lagged_flux', np.float64),        # N, behind it
     ('drive', np.float64),              # N, output of the hysteresis
     ('coil', np.float64),               # N
     ('flexure', np.float64),            # N
@@ -112,7 +120,7 @@ class Steady(NamedTuple):
     h: float
     leaks: bool
     apart: bool
-    half_decay: float
+    half_magnet: MagnetStep
     command: CommandDelay
     supply_keep: float
     flexure: FlexureStep
@@ -129,7 +137,7 @@ def prepare(p, period):
     """
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
-    return Steady(count, h, leaks(p), two_masses(p), rate_decay(p, 0.5 * h),
+    return Steady(count, h, leaks(p), two_masses(p), magnet_step(p, 0.5 * h),
                   command_delay(p, period, h),
                   math.exp(-h / p.valve_characteristic_supply_time), flexure_step(p, h),
                   fluid_dynamics(p, h), sensor_step(p, h))
@@ -138,7 +146,7 @@ def prepare(p, period):
 @jit
 def valve_jump(state, command, p):
     """Let the magnetic circuit jump to a new command (N), and a valve without dynamics too."""
-    magnetise(state, command, 1.0, p)
+    magnetise(state, command, p, AT_ONCE)
     if (p.valve_flexure_model != FULL and p.valve_flexure_deadband == 0.0
             and p.valve_flexure_lag_time == 0.0):
         state.valve_position = valve_position(deflected(flexure_gain(p) * state.drive, p), p)
@@ -177,8 +185,8 @@ def valve_substep(state, command, p, steady):
     """Advance the valve by a sub-step at a constant valve command (N)."""
     # The drive bends too much within a sub-step for a straight line: its mean by Simpson's rule.
     drive_before = state.drive
-    drive_middle = magnetise(state, command, steady.half_decay, p)
-    drive_after = magnetise(state, command, steady.half_decay, p)
+    drive_middle = magnetise(state, command, p, steady.half_magnet)
+    drive_after = magnetise(state, command, p, steady.half_magnet)
     drive_mean = (drive_before + 4.0 * drive_middle + drive_after) / 6.0
 
     state.ring_index = (state.ring_index + 1) & (RING - 1)

@@ -7,21 +7,37 @@ limit cycle needs. A play of constant width cannot do both.
 
 As a choice, plays of spread widths round the corners of the loop, and further plays widen it with
 the amplitude, without any dependence on the rate (Prandtl 1928; with evenly spread widths from 0
-on it is Rayleigh's law, Phil. Mag. 23, 1887).
+on it is Rayleigh's law, Phil. Mag. 23, 1887). As another choice, the flux lags behind the plays
+instead of their growing with the rate: eddy currents, to first order.
 """
 
 import math
+from typing import Final, NamedTuple
 
+from asi_actuator.model.linear_lag import FirstOrder, first_order_or_none
 from asi_common.jit import FULL, LINEAR, jit
 
 # Number of the plays of a spread loop, and of the further ones: of evenly spread widths.
 FURTHER = 8
 
 
+class MagnetStep(NamedTuple):
+    """What is the same in every step of one length."""
+
+    decay: float      # share of command less filtered command that is left after it
+    lag: FirstOrder   # of the flux behind the plays
+
+
+# No time passes: only the command jumps.
+AT_ONCE: Final = MagnetStep(1.0, FirstOrder(1.0, 0.0, 0.0))
+
+
 @jit
-def rate_decay(p, h):
-    """Return the share of command less filtered command that is left after `h` s."""
-    return math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h)
+def magnet_step(p, h):
+    """Return what is the same in every step of `h` s."""
+    return MagnetStep(
+        math.exp(-2.0 * math.pi * p.valve_hysteresis_rate_filter * h),
+        first_order_or_none(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time, h))
 
 
 @jit
@@ -37,7 +53,8 @@ def half_width(rate, p):
     if speed == 0.0:
         return p.valve_hysteresis_radius
     growth = (speed / p.valve_hysteresis_reference_rate) ** p.valve_hysteresis_rate_exponent
-    return p.valve_hysteresis_radius + p.valve_hysteresis_lag_time * speed * growth
+    time = (1.0 - p.valve_hysteresis_lagged) * p.valve_hysteresis_lag_time
+    return p.valve_hysteresis_radius + time * speed * growth
 
 
 @jit
@@ -87,6 +104,17 @@ def widened(flux, plays, command, filtered, p):
 
 
 @jit
+def behind(state, flux, p, lag):
+    """Return the flux (N) that lags behind that of the plays, `flux` (N); updates the lag."""
+    if p.valve_hysteresis_lagged == 0.0 or p.valve_hysteresis_model != FULL:
+        return flux
+    state.lagged_flux = (
+        lag.keep * state.lagged_flux + lag.old * state.plays_flux + lag.new * flux)
+    state.plays_flux = flux
+    return state.lagged_flux
+
+
+@jit
 def saturated(flux, p):
     """
     Return the drive (N) of a magnetic circuit at a flux (N: the drive if the iron were linear).
@@ -115,16 +143,28 @@ def valve_hysteresis(flux, command, filtered, p):
 
 
 @jit
-def magnetise(state, command, decay, p):
+def circuit(state, command, p, lag):
+    """
+    Return the drive (N) at a command (N); updates the plays and the lag of the flux.
+
+    The rate filter, state.command_filtered, is already there. lag: `MagnetStep.lag` of the time
+    since the last call.
+    """
+    filtered = state.command_filtered
+    state.flux = valve_hysteresis(state.flux, command, filtered, p)
+    flux = rounded(state.flux, state.rounding_plays, command, filtered, p)
+    flux = widened(flux, state.further_plays, command, filtered, p)
+    return saturated(behind(state, flux, p, lag), p)
+
+
+@jit
+def magnetise(state, command, p, step):
     """
     Return the drive (N) after a time at a constant command (N); updates the magnetic circuit.
 
-    decay: what `rate_decay` returns for that time; 1 for no time, so that only the command jumps.
+    step: what `magnet_step` returns for that time, or AT_ONCE.
     """
     # The rate filter is a lag: its exact solution.
-    state.command_filtered = command + (state.command_filtered - command) * decay
-    state.flux = valve_hysteresis(state.flux, command, state.command_filtered, p)
-    flux = rounded(state.flux, state.rounding_plays, command, state.command_filtered, p)
-    state.drive = saturated(
-        widened(flux, state.further_plays, command, state.command_filtered, p), p)
+    state.command_filtered = command + (state.command_filtered - command) * step.decay
+    state.drive = circuit(state, command, p, step.lag)
     return state.drive

@@ -11,16 +11,11 @@ from typing import Final
 
 import numpy as np
 
+from asi_actuator.model.actuator import rest
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_characteristic import valve_characteristic
-from asi_actuator.model.valve_hysteresis import (
-    FURTHER,
-    rate_decay,
-    saturated,
-    valve_hysteresis,
-    widened,
-)
+from asi_actuator.model.valve_hysteresis import circuit, magnet_step
 from asi_common.jit import jit
 from asi_controller.additions.hysteresis_inverse import follow
 
@@ -30,35 +25,39 @@ SETTLING: Final = 3
 
 
 @jit
-def _hysteresis(amplitude, frequency, limit, samples, p, size, dead_zone):
+def _hysteresis(state, amplitude, frequency, limit, samples, p, size, dead_zone):
     step = 1.0 / (frequency * samples)
-    decay = rate_decay(p, step)
+    decay, lag_of_flux = magnet_step(p, step)
     # Exact lag of the rate filter for a piecewise linear command.
     lag = (1.0 - decay) / (2.0 * math.pi * p.valve_hysteresis_rate_filter * step)
     half = samples // 2
-    flux = filtered = all_plays = 0.0
-    plays = np.zeros(FURTHER)
     before = min(max(amplitude * math.sin(-2.0 * math.pi / samples), -limit), limit)
     centre = max(min(dead_zone - min(amplitude, limit), 0.0), before - dead_zone)
     before += size * (before - centre) / dead_zone
     total = 0.0 + 0.0j
     # The block is odd, so half a period determines the other. The first half yields the periodic
-    # state of the filter, the second settles the play, the third is projected.
-    for k in range(3 * half):
+    # state of the filter, the second settles the plays, a third yields the periodic state of the
+    # flux's lag where there is one, the last is projected.
+    last = 3 * half if p.valve_hysteresis_lagged > 0.0 else 2 * half
+    for k in range(last + half):
         if k == half:
-            filtered /= 1.0 + decay ** half
+            state.command_filtered /= 1.0 + decay ** half
+        if k == 2 * half:
+            state.lagged_flux = 0.0
+        if k == last:
+            state.lagged_flux /= 1.0 + lag_of_flux.keep ** half
         angle = 2.0 * math.pi * k / samples
         sine = math.sin(angle)
         command = min(max(amplitude * sine, -limit), limit)
         centre = follow(centre, command, dead_zone)
         command += size * (command - centre) / dead_zone
-        filtered = command - lag * (command - before) + (filtered - before) * decay
+        state.command_filtered = (
+            command - lag * (command - before) + (state.command_filtered - before) * decay)
         before = command
         if k >= half:
-            flux = valve_hysteresis(flux, command, filtered, p)
-            all_plays = widened(flux, plays, command, filtered, p)
-        if k >= 2 * half:
-            total += saturated(all_plays, p) * complex(sine, math.cos(angle))
+            drive = circuit(state, command, p, lag_of_flux)
+            if k >= last:
+                total += drive * complex(sine, math.cos(angle))
     return total * 2.0 / (half * amplitude)
 
 
@@ -71,7 +70,7 @@ def hysteresis(amplitude_n: float, frequency_hz: float, p: np.void, limit_n: flo
     function is run with `samples`, an even number, a period. inverse: size and dead zone (N) of
     the controller's hysteresis inverse before it.
     """
-    return complex(_hysteresis(amplitude_n, frequency_hz, limit_n, samples, p, *inverse))
+    return complex(_hysteresis(rest(), amplitude_n, frequency_hz, limit_n, samples, p, *inverse))
 
 
 @jit

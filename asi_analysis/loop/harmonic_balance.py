@@ -23,7 +23,7 @@ from asi_actuator.model.valve_characteristic import (
     valve_opening,
     valve_position,
 )
-from asi_actuator.model.valve_hysteresis import magnetise, rate_decay
+from asi_actuator.model.valve_hysteresis import AT_ONCE, magnet_step, magnetise
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.errors import InputError
 from asi_analysis.loop import linear_model as linear
@@ -99,7 +99,7 @@ class Balance(NamedTuple):
 def _drive(state, command, frequency, limit, p, period, out):
     """Project the response of the magnetic circuit to the held command onto harmonics `out`."""
     step = period / SUBSTEPS
-    half = rate_decay(p, 0.5 * step)
+    half = magnet_step(p, 0.5 * step)
     ticks = int(math.ceil((SETTLING + AVERAGED) / (frequency * period)))
     settled = SETTLING / frequency
     span = AVERAGED / frequency
@@ -111,10 +111,10 @@ def _drive(state, command, frequency, limit, p, period, out):
             angle = 2.0 * math.pi * h * frequency * k * period
             value += command[h].real * math.cos(angle) - command[h].imag * math.sin(angle)
         value = min(max(value, -limit), limit)
-        before = magnetise(state, value, 1.0, p)
+        before = magnetise(state, value, p, AT_ONCE)
         for i in range(SUBSTEPS):
-            middle = magnetise(state, value, half, p)
-            after = magnetise(state, value, half, p)
+            middle = magnetise(state, value, p, half)
+            after = magnetise(state, value, p, half)
             mean = (before + 4.0 * middle + after) / 6.0
             before = after
             time = k * period + (i + 0.5) * step - settled

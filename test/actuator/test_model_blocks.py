@@ -22,7 +22,7 @@ from asi_actuator.model.hydraulic_damping import (
     tanh,
 )
 from asi_actuator.model.valve_characteristic import valve_characteristic, valve_position
-from asi_actuator.model.valve_hysteresis import half_width, magnetise, rate_decay
+from asi_actuator.model.valve_hysteresis import AT_ONCE, half_width, magnet_step, magnetise
 from asi_actuator.parameters import as_record as record_of
 from asi_analysis.loop.closed_loop import close_many, loops_of, simulate_loop
 from asi_common.jit import jit
@@ -57,8 +57,8 @@ def force(values: dict[str, Value], commands: npt.ArrayLike) -> npt.NDArray[np.f
 def _flux(state, commands, p, period):
     out = np.empty(commands.size)
     for i in range(commands.size):
-        magnetise(state, commands[i], 1.0, p)
-        magnetise(state, commands[i], rate_decay(p, period), p)
+        magnetise(state, commands[i], p, AT_ONCE)
+        magnetise(state, commands[i], p, magnet_step(p, period))
         out[i] = state.flux
     return out
 
@@ -98,6 +98,29 @@ def test_ramp_is_followed_at_the_half_width_of_its_rate() -> None:
     assert lag == pytest.approx(14.0 + 0.654e-3 * rate * (rate / 1.9e5) ** 0.05, rel=2e-3)
 
 
+def test_flux_lags_behind_the_play_as_a_first_order_lag_does() -> None:
+    """A step by 300 N: the play jumps at once, what lags follows with the time constant."""
+    values = {'valve_hysteresis.radius': 14.0, 'valve_hysteresis.lag_time': 2e-3,
+              'valve_hysteresis.model': 'full', 'valve_hysteresis.lagged': 1.0,
+              'valve_hysteresis.saturation': 1e6}
+    period = 2e-5
+    force_n = simulate(as_record(NOTHING | values), np.full(400, 300.0), period).force_n
+    time = period * np.arange(400)
+    np.testing.assert_allclose(
+        force_n, STATIC_GAIN * 286.0 * -np.expm1(-time / 2e-3), atol=1e-6)
+
+
+def test_ramp_is_followed_by_a_lag_as_by_a_growing_width() -> None:
+    """Where the width grows in proportion to the rate, a ramp cannot tell the two."""
+    commands = 1e5 * 1e-6 * np.arange(20000)
+    width, lag = (simulate(as_record(NOTHING | {
+        'valve_hysteresis.model': 'full', 'valve_hysteresis.rate_exponent': 0.0,
+        'valve_hysteresis.rate_filter': 10.0, 'valve_hysteresis.saturation': 1e6,
+        'valve_hysteresis.lagged': share}),
+        commands, 1e-5).valve_position_m[-1] for share in (0.0, 1.0))
+    assert lag == pytest.approx(width, rel=1e-4)
+
+
 def test_minor_loop_closes_and_the_major_loop_forgets_it() -> None:
     up, back = np.linspace(0, 300, 600), np.linspace(300, 100, 400)
     through = flux({}, np.concatenate([up, back, np.linspace(100, 300, 400)]), 1.0)
@@ -128,7 +151,7 @@ WIDENING = {'valve_hysteresis.lag_time': 0.0, 'valve_hysteresis.radius': 10.0,
 def _drive(state, commands, p):
     out = np.empty(commands.size)
     for i in range(commands.size):
-        out[i] = magnetise(state, commands[i], 1.0, p)
+        out[i] = magnetise(state, commands[i], p, AT_ONCE)
     return out
 
 

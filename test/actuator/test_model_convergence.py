@@ -59,7 +59,7 @@ def test_smooth_model_converges_with_the_second_order(values: dict[str, Value]) 
 
 @pytest.mark.parametrize('commands', [STEP, SINE], ids=['step', 'sine'])
 @pytest.mark.parametrize('values', [
-    {}, {'load.type': 'spring'}, {'load.type': 'free'},
+    {}, {'load.type': 'spring'}, {'load.type': 'free'}, {'valve_hysteresis.lagged': 1.0},
     {'load.type': 'prescribed', 'load.velocity': 0.1, 'load.frequency': 20.0},
     *({f'{block}.model': 'off'} for block in (
         'valve_hysteresis', 'valve_flexure', 'hydraulic_damping', 'fluid_dynamics', 'friction',

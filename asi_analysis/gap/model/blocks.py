@@ -26,8 +26,8 @@ from asi_actuator.model.valve_hysteresis import (
     FURTHER,
     command_rate,
     half_width,
+    magnet_step,
     play,
-    rate_decay,
     saturated,
     valve_hysteresis,
     widened,
@@ -48,7 +48,6 @@ EFFECT_FIELDS = (
     'loop_behind',              # 1: a single play between the flexure and what is measured
     'command_deadband',         # N, half width
     'valve_hysteresis_spread',  # of the widths of the nominal hysteresis: 0: all equal
-    'valve_hysteresis_lagged',  # share of its growth with the rate that is a lag instead
     'valve_lag',                # s, of two lags in series
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
@@ -187,7 +186,7 @@ def valve(command, p, e, period, count, out):
     if p.valve_flexure_model == FULL:
         # All blocks behind are time-invariant, so the two delays can be one.
         wait += p.valve_flexure_delay / period
-    decay = rate_decay(p, h)
+    decay = magnet_step(p, h).decay
     coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
     flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
     # For an input that is held over each step, as the command is.
@@ -197,7 +196,7 @@ def valve(command, p, e, period, count, out):
     widths = spread(e.valve_hysteresis_spread)
     # Before the recording the plays were at rest.
     plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
-    magnet = lag_weights(p.valve_hysteresis_lag_time * e.valve_hysteresis_lagged, h)
+    magnet = lag_weights(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time, h)
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
@@ -244,16 +243,15 @@ def magnetised(fluxes, widths, command, filtered, p, e):
     """
     Return the flux (N) of the nominal hysteresis with free shape parameters; updates its plays.
 
-    The plays of asi_actuator/model/valve_hysteresis.py with spread widths. Only a part of their
-    growth with the rate remains; the rest is a lag, since a rounded loop with a lag is hardly
-    distinguishable. filtered: state of the rate filter, N.
+    The plays of asi_actuator/model/valve_hysteresis.py with spread widths. filtered: state of the
+    rate filter, N.
     """
     if p.valve_hysteresis_model != FULL:
         return valve_hysteresis(0.0, command, filtered, p)
     grown = half_width(command_rate(command, filtered, p), p) - p.valve_hysteresis_radius
     flux = 0.0
     for i in range(PLAYS):
-        width = p.valve_hysteresis_radius * widths[i] + (1.0 - e.valve_hysteresis_lagged) * grown
+        width = p.valve_hysteresis_radius * widths[i] + grown
         fluxes[i] = play(fluxes[i], command, width)
         flux += fluxes[i] / PLAYS
     return flux

@@ -220,12 +220,13 @@ UNCERTAIN = {
               'load_locked_damping', 'force_sensor_gain', 'force_sensor_mass_share'),
 }
 # Shape parameters of the nominal laws, by channel: free in every fit, since textbooks formulate
-# these laws differently. Of the hysteresis: how round the corners of its loop are. Of damping: how
-# slowly it saturates with the velocity. Of friction:
-# how sliding begins (from Dupont's elasto-plastic bristle to Dahl's and LuGre's), the damping of
-# the pre-sliding displacement, and the Stribeck velocity.
+# these laws differently. Of the hysteresis: how round the corners of its loop are, and whether
+# the loop widens with the rate or the flux lags. Of damping: how slowly it saturates with the
+# velocity. Of friction: how sliding begins (from Dupont's elasto-plastic bristle to Dahl's and
+# LuGre's), the damping of the pre-sliding displacement, and the Stribeck velocity.
 SHAPES = {
-    'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),),
+    'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),
+              Free('valve_hysteresis_lagged', 0.0, 1.0, (0.0,))),
     'force': (Free('hydraulic_damping_tail', -1.0, 1.0, (0.0,)),
               Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),

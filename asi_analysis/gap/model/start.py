@@ -75,7 +75,8 @@ def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.v
     if recording.at_rest:
         return state, command[:0]
     state['command_filtered'] = command[0]
-    state['flux'] = command[0] + _fitted(recording, p, FLUX) * p['valve_hysteresis_radius']
+    for name in ('flux', 'plays_flux', 'lagged_flux'):
+        state[name] = command[0] + _fitted(recording, p, FLUX) * p['valve_hysteresis_radius']
     return state, np.full(math.ceil(BURN_IN_S / recording.period_s), command[0])
 
 

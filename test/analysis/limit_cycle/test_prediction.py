@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from study import STUDY, STUDY_CONTROLLER
 
+from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.loop import describing_functions as describing
 from asi_analysis.loop import harmonic_balance as hb
@@ -28,6 +29,23 @@ def test_play_is_python_controls(amplitude):
     # Its backlash: b is the whole width. One amplitude at a time: it forgets.
     closed = control.friction_backlash_nonlinearity(28.0).describing_function(amplitude)
     assert describing.hysteresis(amplitude, 50.0, p) == pytest.approx(closed, abs=2e-3)
+
+
+@pytest.mark.parametrize('share', [0.0, 1.0])
+@pytest.mark.parametrize('lagged', [0.0, 0.3, 1.0])
+def test_hysteresis_is_the_simulated_response_to_a_sine(lagged, share):
+    """With every choice of the loop: rounded corners, a flux that lags."""
+    samples, frequency = 2000, 40.0
+    p = as_record({'valve_hysteresis.lagged': lagged, 'valve_hysteresis.rounding': share,
+                   'valve_flexure.model': 'off'})
+    angle = 2.0 * np.pi * np.arange(5 * samples) / samples
+    valve = simulate(p, 300.0 * np.sin(angle), 1.0 / (frequency * samples)).valve_position_m
+    of_command = float(p['valve_characteristic_gain'] * p['valve_characteristic_full_opening']
+                       / p['valve_characteristic_maximum_force'])
+    # A held command is late by half a sample.
+    wave = np.exp(-1j * (angle[-samples:] - np.pi / samples))
+    simulated = 2j * np.mean(valve[-samples:] * wave) / (300.0 * of_command)
+    assert describing.hysteresis(300.0, frequency, p) == pytest.approx(simulated, abs=1.5e-3)
 
 
 def test_play_passes_nothing_of_a_sine_within_it():
