@@ -354,8 +354,11 @@ class Recorder(Node):
             self.get_logger().error(f'{count} messages of {name} were lost')
         silent = [topic.name for topic in self._topics if topic.name not in counts
                   and topic.name in map(self.resolve_topic_name, ALWAYS)]
-        if counts and silent:
-            self.get_logger().warning(f'nothing came on {", ".join(silent)}: was it remapped?')
+        for published, reason in ((True, 'although there is a publisher'),
+                                  (False, 'no publisher is there now: was it remapped?')):
+            names = [name for name in silent if bool(self.count_publishers(name)) == published]
+            if counts and names:
+                self.get_logger().warning(f'nothing came on {", ".join(names)}, {reason}')
         for node in self._unreported:
             if any(row.publisher.startswith(node) and self.resolve_topic_name(row.name) in counts
                    for row in TOPICS.values()):

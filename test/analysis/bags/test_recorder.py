@@ -22,6 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from asi_analysis.bags.bag import read_bag, write_bag
@@ -385,15 +386,19 @@ def test_parameters_that_were_not_reported_in_time_are_told(
     monkeypatch.chdir(tmp_path)
     recorder = recorder_node.Recorder()
     publisher = ros_node.create_publisher(WrenchStamped, 'force', 10)
-    wait_until(publisher.get_subscription_count, 'the recorder')
+    idle = ros_node.create_publisher(JointState, 'joint_states', 10)
+    for each in (publisher, idle):
+        wait_until(each.get_subscription_count, 'the recorder')
+    wait_until(lambda: recorder.count_publishers('joint_states'), 'its publisher')
     publisher.publish(WrenchStamped())
     wait_until(lambda: recorder._drain() or recorder._arrived, 'the message')
     recorder.destroy_node()
     said = capfd.readouterr().err
     assert 'the parameters of asi_actuator are not in the bag' in said
     assert 'the parameters of asi_controller' not in said   # none of its topics is
-    assert ('nothing came on /joint_states, /valve_position, /velocity, /valve_command: '
-            'was it remapped?') in said
+    assert 'nothing came on /joint_states, although there is a publisher' in said
+    assert ('nothing came on /valve_position, /velocity, /valve_command, '
+            'no publisher is there now: was it remapped?') in said
 
 
 @pytest.mark.parametrize(('options', 'reason'), [
