@@ -38,13 +38,16 @@ def in_best_formulation(found: Mapping[Names, Found],
 
     The laws are the simulator's own if a hypothesis with at most one effect, or one improbable
     nominal parameter, leaves only noise, and the best one needs no other shape parameters of the
-    laws. With a baseline, the error floor is measured and kept.
+    laws; or the nominal model is far from explaining the recordings, whatever the shapes: that is
+    not their fault. With a baseline, the error floor is measured and kept.
     """
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
-    own = [_with_formulation(each, False) for each in found.values()]
-    other = not any(map(_explains_with_one, own)) or _needs_other_shapes(
-        min(own, key=lambda each: each.best.cost))
+    own = {names: _with_formulation(each, False) for names, each in found.items()}
+    null = own[()]
+    other = not any(map(_explains_with_one, own.values())) or (
+        not null.problem.is_far(null.best.cost)
+        and _needs_other_shapes(min(own.values(), key=lambda each: each.best.cost)))
     return in_formulation(found, other, known)
 
 
