@@ -26,8 +26,9 @@ from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import search
+from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
-from asi_analysis.gap.inference.simulated.search import explained_by_simulator, parameter_errors
+from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import (
@@ -210,8 +211,8 @@ def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict)
 def null_behind_valve(run, nominal):
     """Return the fit of the nominal model to what follows the valve."""
     recordings, p = prepared([run]), simulator.simulator_record(nominal)
-    valve = search.null_fit(simulator_group(p, recordings, ('valve',)))
-    return search.null_fit(with_simulated_valve(
+    valve = null_fit(simulator_group(p, recordings, ('valve',)))
+    return null_fit(with_simulated_valve(
         simulator_group(p, recordings, CHANNELS), valve.as_fitted.record))
 
 
@@ -389,7 +390,7 @@ def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
     nominal = {'load.type': 'spring'}
     run = recorded({**nominal, 'command_path.quantum': quantum}, noise=0.2, duration_s=2.0)
     assert np.abs(run.command_n).max() > 60.0 * 8.0
-    fit = search.null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
+    fit = null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
                                           ('valve',)))
     assert initial_guesses(fit.as_fitted)['residual_step'] == pytest.approx(quantum, rel=3e-3)
 
@@ -409,7 +410,7 @@ def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(m
 def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():
     nominal = {'load.type': 'spring'}
     run = recorded(nominal, duration_s=1.0)
-    fit = search.null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
+    fit = null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
                                           ('valve',)))
     problem, start = fit.problem, fit.best.theta + 0.05
     fields = [free.field for free in problem.free]
@@ -493,7 +494,7 @@ def test_a_parameter_whose_prior_is_costly_leads_the_screen_to_its_effect():
     run = recorded({**nominal, 'friction.stiction_push': 30.0, 'friction.stiction_pull': 20.0},
                    duration_s=1.5)
     p = simulator.simulator_record(nominal)
-    null = search.null_fit(simulator_group(p, prepared([run]), CHANNELS))
+    null = null_fit(simulator_group(p, prepared([run]), CHANNELS))
     screened = screen(null, True, lambda: None)
     fields = [free.field for free in null.problem.free]
     same = [start for start in screened.ranked if start.name == 'stiction' and all(

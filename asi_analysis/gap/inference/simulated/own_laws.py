@@ -15,9 +15,9 @@ from asi_analysis.gap.inference.simulated.explained import most_probable_of, wei
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.search import (
     gain_is_off,
-    null_fit,
     single_effects,
     with_free_gain,
 )

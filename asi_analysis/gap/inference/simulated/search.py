@@ -9,28 +9,24 @@ and a model error is allowed for.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import with_lower_floor
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
-    FAR,
     GAIN,
     GAIN_MARGIN,
     NONE,
     ODDS_AGAINST,
-    ROUGHLY,
     ROUNDS,
     SLIGHT,
     Best,
-    Posterior,
     most_probable,
     of_first_part,
 )
@@ -52,25 +48,26 @@ from asi_analysis.gap.inference.simulated.formulation import (
     in_formulation,
 )
 from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.nominal_fit import (
+    hides_an_effect,
+    rough_null_fit,
+    to_the_end,
+    with_start_of_fit,
+)
 from asi_analysis.gap.inference.simulated.screen import Start, screen
-from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
+from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
     Group,
-    acts_on,
-    with_fitted_start,
     with_simulated_valve,
 )
 from asi_analysis.gap.model.simulator import metres_per_newton
-from asi_analysis.gap.model.start import SEAL
-from asi_common.record import field_name
 
 # After the linear screen so many effects are fitted roughly, with so many Jacobians; and so many
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
 RIVALS = 7   # effects that are fitted in place of that of the best fit
-SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -141,10 +138,16 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    null = with_noise_from_fit({(): null_fit(group)})[()]
-    if not null.unexplained:   # without noise it shows more than a model error would allow
-        null = with_noise_from_fit({(): null}, with_lower_floor)[()]
-    found = _hypotheses(null, tick, alone)
+    rough = rough_null_fit(group)
+    only = changed_alone(with_start_of_fit(rough), tick) if hides_an_effect(rough) else None
+    if only:   # beside that, a nominal model that is far from it need not be fitted to the end
+        null = with_start_of_fit(
+            rough if rough.problem.is_far(rough.best.cost) else to_the_end(rough))
+    else:
+        null = with_noise_from_fit({(): with_start_of_fit(to_the_end(rough))})[()]
+        if not null.unexplained:   # without noise it shows more than a model error would allow
+            null = with_noise_from_fit({(): null}, with_lower_floor)[()]
+    found = _hypotheses(null, only, tick, alone)
     if _only_noise_left(found):
         quiet = with_noise_from_fit(found, with_lower_floor) if len(found) > 1 else found
         found = quiet if _only_noise_left(quiet) else found
@@ -159,34 +162,19 @@ def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explaine
     return _Explained(weighed._replace(group=replace(laws, hides_effects=hides)), found)
 
 
-def null_fit(group: Group) -> Found:
-    """Return the fit of the nominal model: of its uncertain parameters and initial states."""
-    group = replace(group, effects=(*group.effects, *parameter_errors(group)),
-                    scale=dict(group.scale))
-    problem = Posterior(group, group.nuisance)
-    first = min((most_probable(problem, start, rounds=2) for start in _start_guesses(problem)),
-                key=lambda best: best.cost)
-    null = Found((), (), problem, most_probable(
-        problem, first.theta, rounds=2 * ROUNDS, converged=ROUGHLY, near=first))
-    if null.best.cost < FAR * null.largest_cost:   # else it explains nothing, however exact
-        null = converged(null._replace(best=most_probable(
-            problem, null.best.theta, rounds=2 * ROUNDS, converged=0.0, near=null.best)))
-    # From here on, a recording that starts in motion has the initial state of this fit.
-    return null._replace(best=null.best._replace(slopes=None), problem=replace(
-        null.problem, group=with_fitted_start(
-            null.problem.group, null.problem.record(null.best.theta))))
-
-
-def single_effects(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+def single_effects(null: Found, tick: Callable[[], None], alone: bool,
+                   only: Sequence[Found] | None = None) -> dict[Names, Found]:
     """
     Return the fits of the nominal model and of single effects.
 
-    alone: as in `explained_by_simulator`.
+    alone: as in `explained_by_simulator`; only: what `changed_alone` found, if it was asked.
     """
     null.problem.group.scale.update(initial_guesses(null.as_fitted))
     singles: dict[Names, Found] = {}
-    hidden = null.unexplained or null.prior_cost > ODDS_AGAINST
-    if hidden and (only := changed_alone(null, tick)):
+    hidden = hides_an_effect(null)
+    if hidden and only is None:
+        only = changed_alone(null, tick)
+    if only:
         singles = _around(only, null.at_nominal, null, tick, alone)
     else:
         if not null.unexplained:
@@ -204,6 +192,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
     Nothing can be much more probable: only noise is left, and no nominal parameter is off.
     """
     problem, theta = null.problem, null.problem.nominal
+    problem.group.scale.update(initial_guesses(null.as_fitted))
     values, at = problem.record(theta), null.at(theta)
     base = at._replace(best=at.best._replace(slopes=None))
 
@@ -231,13 +220,14 @@ def _beside(found: Found) -> Found:
     return found.at_nominal if usual is found else usual
 
 
-def _hypotheses(null: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], None], alone: bool
+                ) -> dict[Names, Found]:
     """
     Return the fits of the nominal model, of single effects and, if needed, of pairs.
 
-    alone: as in `explained_by_simulator`.
+    only: as in `single_effects`; alone: as in `explained_by_simulator`.
     """
-    found = single_effects(null, tick, alone)
+    found = single_effects(null, tick, alone, only)
     singles = [names for names in found if names]
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
@@ -312,42 +302,6 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
         return base
     start = starts[int(np.argmin(costs))]
     return converged(base._replace(best=most_probable(problem, start)))
-
-
-def _start_guesses(problem: Posterior) -> Iterator[Array]:
-    """Yield nominal parameters, with guesses of the shapes of laws and of initial states."""
-    mean = problem.nominal
-    yield mean
-    started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
-    if not started:
-        return
-    alone = replace(problem, free=tuple(problem.free[n] for n in started))
-    begun = mean.copy()
-    begun[started] = most_probable(alone, alone.prior[0]).theta
-    yield begun
-    seals = [n for n in started if problem.free[n].field.startswith(SEAL)]
-    for share in SEAL_STARTS if seals else ():
-        begun = mean.copy()
-        begun[seals] = share
-        yield begun
-
-
-def parameter_errors(group: Group) -> list[Effect]:
-    """Return the hypotheses that a nominal parameter is beyond its tolerance."""
-    held = {free.field for effect in group.effects for variant in effect.variants
-            for free in variant.free if free.scale == 'nominal'}
-    return [_parameter_error(free.field, group) for free in group.nuisance
-            if free.prior < math.inf and free.scale == 'nominal' and free.field not in held]
-
-
-def _parameter_error(field: str, group: Group) -> Effect:
-    """Return the hypothesis that one nominal parameter is beyond its tolerance."""
-    dotted = next(p.name for p in ACTUATOR_PARAMETERS if field_name(p.name) == field)
-    free = Free(field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
-    return Effect(PARAMETER + dotted, str(block_of(PARAMETER + dotted)),
-                  f'{dotted} is beyond its tolerance',
-                  (Variant((free,), tuple(channel for channel in group.channels
-                                          if acts_on(field, channel, group))),), exact=True)
 
 
 def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool

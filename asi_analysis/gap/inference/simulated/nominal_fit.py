@@ -1,0 +1,96 @@
+"""The fit of the nominal model: of its uncertain parameters, shapes of laws and initial states."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.posterior import (
+    FAR,
+    ODDS_AGAINST,
+    ROUGHLY,
+    ROUNDS,
+    Posterior,
+    most_probable,
+)
+from asi_analysis.gap.inference.simulated.fits import converged
+from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
+from asi_analysis.gap.model.group import Group, acts_on, with_fitted_start
+from asi_analysis.gap.model.start import SEAL
+from asi_common.record import field_name
+
+SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
+
+
+def null_fit(group: Group) -> Found:
+    """Return the fit of the nominal model: of its uncertain parameters and initial states."""
+    return with_start_of_fit(to_the_end(rough_null_fit(group)))
+
+
+def rough_null_fit(group: Group) -> Found:
+    """Return `null_fit`, roughly converged."""
+    group = replace(group, effects=(*group.effects, *parameter_errors(group)),
+                    scale=dict(group.scale))
+    problem = Posterior(group, group.nuisance)
+    first = min((most_probable(problem, start, rounds=2) for start in _start_guesses(problem)),
+                key=lambda best: best.cost)
+    return Found((), (), problem, most_probable(
+        problem, first.theta, rounds=2 * ROUNDS, converged=ROUGHLY, near=first))
+
+
+def to_the_end(null: Found) -> Found:
+    """Return a rough fit of the nominal model, converged unless it explains nothing anyway."""
+    if null.best.cost >= FAR * null.largest_cost:
+        return null
+    return converged(null._replace(best=most_probable(
+        null.problem, null.best.theta, rounds=2 * ROUNDS, converged=0.0, near=null.best)))
+
+
+def with_start_of_fit(null: Found) -> Found:
+    """Return a fit from which on recordings that start in motion have its initial states."""
+    return null._replace(best=null.best._replace(slopes=None), problem=replace(
+        null.problem, group=with_fitted_start(
+            null.problem.group, null.problem.record(null.best.theta))))
+
+
+def hides_an_effect(null: Found) -> bool:
+    """Return whether the nominal model leaves a residual, or its parameters are improbable."""
+    return null.unexplained or null.prior_cost > ODDS_AGAINST
+
+
+def _start_guesses(problem: Posterior) -> Iterator[Array]:
+    """Yield nominal parameters, with guesses of the shapes of laws and of initial states."""
+    mean = problem.nominal
+    yield mean
+    started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
+    if not started:
+        return
+    alone = replace(problem, free=tuple(problem.free[n] for n in started))
+    begun = mean.copy()
+    begun[started] = most_probable(alone, alone.prior[0]).theta
+    yield begun
+    seals = [n for n in started if problem.free[n].field.startswith(SEAL)]
+    for share in SEAL_STARTS if seals else ():
+        begun = mean.copy()
+        begun[seals] = share
+        yield begun
+
+
+def parameter_errors(group: Group) -> list[Effect]:
+    """Return the hypotheses that a nominal parameter is beyond its tolerance."""
+    held = {free.field for effect in group.effects for variant in effect.variants
+            for free in variant.free if free.scale == 'nominal'}
+    return [_parameter_error(free.field, group) for free in group.nuisance
+            if free.prior < math.inf and free.scale == 'nominal' and free.field not in held]
+
+
+def _parameter_error(field: str, group: Group) -> Effect:
+    """Return the hypothesis that one nominal parameter is beyond its tolerance."""
+    dotted = next(p.name for p in ACTUATOR_PARAMETERS if field_name(p.name) == field)
+    free = Free(field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
+    return Effect(PARAMETER + dotted, str(block_of(PARAMETER + dotted)),
+                  f'{dotted} is beyond its tolerance',
+                  (Variant((free,), tuple(channel for channel in group.channels
+                                          if acts_on(field, channel, group))),), exact=True)
