@@ -203,7 +203,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     def tick() -> None:
         nonlocal done
         done += 1
-        report('fitting effects', min(done / steps, 1.0))
+        # Their number is estimated: beyond it, nobody knows how many are left.
+        report('fitting effects', done / steps if done < steps else None)
 
     told = healthy.notes if healthy else []
     for note in (each for each in notes if each not in told):   # first: it may explain a refusal
