@@ -20,6 +20,18 @@ def silent(text: str, share: float | None) -> None:
     """Report no progress."""
 
 
+def part_of(progress: Progress, title: str, before: int, count: int) -> Progress:
+    """Return the progress of one of `count` parts, after `before` others; unknown: as it was."""
+    last = 0.0
+
+    def part(text: str, share: float | None) -> None:
+        nonlocal last
+        last = last if share is None else share
+        progress(f'{title}: {text}', (before + last) / count)
+
+    return part
+
+
 @contextmanager
 def bar() -> Iterator[Progress]:
     """Yield a progress function that shows a bar on stderr; a line now and then in a file."""
@@ -36,8 +48,9 @@ def bar() -> Iterator[Progress]:
         task = bars.add_task('', total=None)
 
         def progress(text: str, share: float | None) -> None:
-            bars.update(task, description=text, total=None if share is None else 1.0,
-                        completed=share or 0.0)
+            bars.update(task, description=text, total=1.0, completed=share or 0.0)
+            if share is None:   # which `update` takes for: as it is
+                bars.tasks[0].total = None
 
         yield progress
 

@@ -106,7 +106,9 @@ def widened(flux, plays, command, filtered, p):
 @jit
 def behind(state, flux, p, lag):
     """Return the flux (N) that lags behind that of the plays, `flux` (N); updates the lag."""
-    if p.valve_hysteresis_lagged == 0.0 or p.valve_hysteresis_model != FULL:
+    if (p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time == 0.0
+            or p.valve_hysteresis_model != FULL):
+        state.plays_flux = state.lagged_flux = flux   # where a lag that is switched on begins
         return flux
     state.lagged_flux = (
         lag.keep * state.lagged_flux + lag.old * state.plays_flux + lag.new * flux)

@@ -14,7 +14,7 @@ from asi_analysis.experiments.experiment import Experiment, checked
 from asi_analysis.experiments.running import run_experiment
 from asi_analysis.measures.analysis import analyze, in_words
 from asi_analysis.reporting.result import Result, Table, table_of
-from asi_analysis.terminal import Progress, silent
+from asi_analysis.terminal import Progress, part_of, silent
 
 GAP = 'gap'   # directory of the diagnosis; with the name of a run: of its bag
 
@@ -52,8 +52,7 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
 
     def run(name: str, title: str, experiment: Experiment) -> tuple[Path, Run]:
         nonlocal done
-        bag = run_experiment(experiment, out / name, lambda text, share: progress(
-            f'{title}: {text}', (done + (share or 0.0)) / steps))
+        bag = run_experiment(experiment, out / name, part_of(progress, title, done, steps))
         done += 1
         return bag, read_bag(bag)
 
@@ -63,8 +62,7 @@ def run_demo(out: Path, progress: Progress = silent) -> Demo:
         recorded.append(Recorded(plan, checked(plan.experiment), bag, found, analyze(found)))
     diagnosed = find_hidden_effect(
         lambda name, experiment: run(f'{GAP}_{name}', f'Sim-to-real gap, {name}', experiment)[1],
-        out / GAP, lambda text, share: progress(f'Sim-to-real gap: {text}',
-                                                (done + (share or 0.0)) / steps))
+        out / GAP, part_of(progress, 'Sim-to-real gap', len(RUNS) + 1, steps))
     progress('writing the report', 1.0 - 1.0 / steps)
     return Demo({
         'report': str(write_demo_report(recorded, diagnosed, out)),

@@ -15,7 +15,7 @@ from asi_analysis.loop.closed_loop import Values
 from asi_analysis.measures.analysis import analyze, in_words
 from asi_analysis.measures.quality import quality_of
 from asi_analysis.reporting.result import Pictures, Result, Table, filled, number
-from asi_analysis.terminal import Progress, silent
+from asi_analysis.terminal import Progress, part_of, silent
 from asi_analysis.tuning.figures import (
     BAND_HZ,
     IMPEDANCE_HZ,
@@ -196,7 +196,7 @@ def compare_controllers(
     rows: list[dict[str, Any]] = []
     nominal: dict[str, Responses] = {}
     for begun, (name, controller) in enumerate(controllers.items()):
-        tell = _part_of(progress, name, begun, len(controllers))
+        tell = part_of(progress, name, begun, len(controllers))
         found, nominal[name] = _simulated(controller, chosen, tell)
         if attacks:
             found.append(_attacked(search(actuator, controller, tuple(rates_hz), attacks, seed,
@@ -215,11 +215,6 @@ def compare_controllers(
         'recordings': [_recording(name, run) for name, run in recordings.items()],
         'quality': quality_of(list(recordings.values())),
     }, responses=nominal, runs=recordings)
-
-
-def _part_of(progress: Progress, name: str, before: int, count: int) -> Progress:
-    """Return the progress of one of `count` controllers."""
-    return lambda text, share: progress(f'{name}, {text}', (before + (share or 0.0)) / count)
 
 
 def _simulated(controller: Values, chosen: Sequence[Condition], progress: Progress

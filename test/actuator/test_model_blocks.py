@@ -110,6 +110,27 @@ def test_flux_lags_behind_the_play_as_a_first_order_lag_does() -> None:
         force_n, STATIC_GAIN * 286.0 * -np.expm1(-time / 2e-3), atol=1e-6)
 
 
+@pytest.mark.parametrize('off', [
+    {'valve_hysteresis.lagged': 0.0}, {'valve_hysteresis.lag_time': 0.0},
+    {'valve_hysteresis.model': 'linear'}], ids=str)
+def test_a_lag_that_is_switched_on_begins_where_the_flux_is(off: dict[str, Value]) -> None:
+    lags = {'valve_hysteresis.lagged': 1.0, 'valve_hysteresis.lag_time': 5e-3,
+            'valve_hysteresis.radius': 0.0, 'valve_hysteresis.saturation': 1e6}
+    before, after = as_record(lags | off), as_record(lags)
+    state = rest()
+    for _ in range(3):
+        magnetise(state, 400.0, before, magnet_step(before, 1e-3))
+    assert magnetise(state, 400.0, after, magnet_step(after, 1e-3)) == pytest.approx(400.0)
+
+
+def test_no_lag_time_is_no_lag_whatever_its_share() -> None:
+    values = {'valve_hysteresis.lag_time': 0.0, 'load.type': 'spring'}
+    command = 200.0 * np.sin(2.0 * np.pi * 30.0 * PERIOD * np.arange(200))
+    plain, shared = (simulate(as_record(values | {'valve_hysteresis.lagged': share}), command,
+                              PERIOD).force_n for share in (0.0, 1.0))
+    np.testing.assert_array_equal(shared, plain)
+
+
 def test_ramp_is_followed_by_a_lag_as_by_a_growing_width() -> None:
     """Where the width grows in proportion to the rate, a ramp cannot tell the two."""
     commands = 1e5 * 1e-6 * np.arange(20000)

@@ -436,6 +436,26 @@ def test_ctrl_c_while_the_commands_are_built_is_one_line(monkeypatch, capsys):
     assert capsys.readouterr().err == 'asi: interrupted\n'
 
 
+def test_a_part_keeps_its_share_where_none_is_known():
+    shown: list[tuple[str, float | None]] = []
+    part = terminal.part_of(lambda *each: shown.append(each), 'run', 1, 4)
+    part('fitting', 0.5)
+    part('fitting', None)
+    assert shown == 2 * [('run: fitting', 0.375)]
+
+
+def test_a_bar_that_knows_no_share_any_more_shows_none(monkeypatch):
+    from rich.progress import Progress as Bars
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True, raising=False)
+    bars: list[Bars] = []
+    enter = Bars.__enter__
+    monkeypatch.setattr(Bars, '__enter__', lambda self: bars.append(self) or enter(self))
+    with terminal.bar() as progress:
+        for share in (0.9, None, 0.2, None):
+            progress('fitting', share)
+            assert bars[0].tasks[0].total == (None if share is None else 1.0)
+
+
 def test_progress_is_written_now_and_then_without_a_terminal(
         monkeypatch, capfd):
     monkeypatch.setattr(terminal, 'LINE_S', 0.01)

@@ -196,7 +196,8 @@ def valve(command, p, e, period, count, out):
     widths = spread(e.valve_hysteresis_spread)
     # Before the recording the plays were at rest.
     plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
-    magnet = lag_weights(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time, h)
+    magnet = lag_weights(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time
+                         * (p.valve_hysteresis_model == FULL), h)
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
@@ -214,10 +215,9 @@ def valve(command, p, e, period, count, out):
             u += e.command_bias
             filtered = u + (filtered - u) * decay
             flux_before = flux
-            flux = magnetised(fluxes, widths, u, filtered, p, e)
+            flux = widened(magnetised(fluxes, widths, u, filtered, p, e), further, u, filtered, p)
             slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
-            every = widened(slow_flux, further, u, filtered, p)
-            drive = loop(plays, saturated(every, p), e)
+            drive = loop(plays, saturated(slow_flux, p), e)
             after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
             first_before = first

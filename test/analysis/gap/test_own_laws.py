@@ -10,6 +10,8 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.gap.diagnose import diagnose, document, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
+from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import has_linear_laws
 
 
@@ -78,6 +80,22 @@ def test_free_load_is_explained():
     free = {'load.type': 'free'}
     run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)
     assert diagnose([run], {**TEXTBOOK, **free}).verdict == ('sensor_offset',)
+
+
+WIDENING = {'valve_hysteresis.widening': 1.5, 'valve_hysteresis.widening_range': 300.0}
+
+
+@pytest.mark.parametrize('values', [
+    {}, {'valve_hysteresis.lagged': 1.0}, WIDENING, {**WIDENING, 'valve_hysteresis.lagged': 1.0},
+    {'valve_hysteresis.model': 'linear', 'valve_hysteresis.lagged': 1.0}], ids=str)
+def test_valve_of_the_block_wise_fits_is_the_simulators(values):
+    p = plant_record(values)
+    period, time = 2e-4, 2e-4 * np.arange(3000)
+    command = 200.0 * np.sin(30.0 * time) + 60.0 * np.sin(145.0 * time + 1.0)
+    valve = np.empty(time.size)
+    blocks.valve(command, *blocks.parts(p), period, 8, valve)
+    simulated = simulate(as_record(values), command, period).valve_position_m
+    assert np.std((valve - simulated)[1000:]) < 1e-3 * np.std(simulated)
 
 
 def test_shares_of_blocks_are_numbers():

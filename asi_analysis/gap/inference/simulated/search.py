@@ -191,8 +191,10 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
 
     Nothing can be much more probable: only noise is left, and no nominal parameter is off.
     """
+    # With guesses of their own: those of the fits that follow must not change what these mean.
+    null = null._replace(problem=replace(null.problem, group=replace(
+        null.problem.group, scale=null.problem.group.scale | initial_guesses(null.as_fitted))))
     problem, theta = null.problem, null.problem.nominal
-    problem.group.scale.update(initial_guesses(null.as_fitted))
     values, at = problem.record(theta), null.at(theta)
     base = at._replace(best=at.best._replace(slopes=None))
 
