@@ -25,7 +25,7 @@ from asi_analysis.gap.inference.posterior import (
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
-from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.group import Group, least_error
 from asi_common.record import field_name
 
 # Log odds below the best at which the posterior volume is not computed: it can make up for less.
@@ -62,10 +62,13 @@ def weigh(group: Group, found: Mapping[Names, Found]
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
-    level = mean_squares(least.problem, least.best.residual)
+    # A smaller error than the simulation's own is no evidence.
+    exact = np.array([least_error(group, channel) / group.error_floor[channel]
+                      for channel in group.channels])
+    level = np.maximum(mean_squares(least.problem, least.best.residual), exact)
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
-    equal = equal_below(least) if group.other_formulation else 0.0 * level
+    equal = equal_below(least) if group.other_formulation else exact
     simplest = _simplest_explained(found) if group.may_differ else None
 
     def left(each: Found) -> Array:
