@@ -26,6 +26,8 @@ from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import search
+from asi_analysis.gap.inference.simulated.evidence import weigh
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
@@ -290,6 +292,27 @@ def test_an_effect_is_as_sure_beside_another_shape_of_the_laws(shape):
     weighed, = explained_by_simulator([simulator_group(
         simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
     assert weighed.probability[('valve_deadband',)] > 0.99
+
+
+@pytest.mark.parametrize(('bias', 'named'), [(2.8e-3, False), (0.1, True)])
+def test_a_difference_as_small_as_the_simulations_own_error_is_no_evidence(bias, named):
+    """Of a recording without noise: 1e-5 of the signal, and 5e-4."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_flexure.bias': bias}, noise=0.0)
+    group = with_lower_floor(simulator_group(
+        simulator.simulator_record(nominal), prepared([run]), ('valve',)), {'valve': 0.0})
+    # As of a signal whose noise was estimated to be more.
+    group = replace(group, noise={'valve': math.sqrt(group.error_floor['valve'])})
+    effect = next(each for each in group.effects if each.name == 'valve_bias')
+
+    def found(names, *variants):
+        problem = Posterior(group, (*group.nuisance[:2], *(
+            free for each in variants for free in each.free)))
+        return Found(names, variants, problem, most_probable(problem, problem.nominal))
+
+    chance, _ = weigh(group, {(): found(()), ('valve_bias',): found(
+        ('valve_bias',), effect.variants[0])})
+    assert (chance[('valve_bias',)] > 0.9) == named
 
 
 def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
