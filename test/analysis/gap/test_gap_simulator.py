@@ -24,15 +24,17 @@ from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
-from asi_analysis.gap.inference.posterior import STEP, Posterior, fitted, most_probable
+from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import search
 from asi_analysis.gap.inference.simulated.evidence import weigh
+from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model import simulator
+from asi_analysis.gap.model.effects import without_prior
 from asi_analysis.gap.model.group import (
     LEAST_ERROR,
     prepared_for,
@@ -239,6 +241,24 @@ def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
     assert best.prior_cost == 0.0
     assert best.as_fitted.values['hydraulic_damping_saturation_velocity'] == pytest.approx(
         0.05, rel=1e-3)
+
+
+def test_a_parameter_within_its_tolerance_is_never_better_than_the_nominal_model():
+    """It is free in that, too; but with a larger noise it was fitted elsewhere."""
+    nominal = simulator.simulator_record({'load.type': 'spring'})
+    recordings = prepared([recorded({'load.type': 'spring'}, noise=0.0, duration_s=1.5)])
+    group = with_simulated_valve(simulator_group(nominal, recordings, CHANNELS), nominal)
+
+    def at(names, variants, theta):
+        problem = Posterior(group, without_prior(group.nuisance, variants))
+        return Found(names, variants, problem, Best(theta, 0.0, theta)).at(theta)
+
+    mass, = (each for each in parameter_errors(group) if each.name == 'parameter:load.mass')
+    mean, precision = Posterior(group, group.nuisance).prior
+    off = np.where(precision > 0.0, 0.2 / np.sqrt(np.maximum(precision, 1.0)), 0.05)
+    named = at((mass.name,), mass.variants, mean)
+    found = with_noise_from_fit({(): at((), (), mean + off), named.names: named})
+    assert found[()].best.cost < found[named.names].best.cost + 1.0
 
 
 @pytest.mark.slow

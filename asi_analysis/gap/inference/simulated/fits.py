@@ -83,7 +83,8 @@ def with_noise_from_fit(found: Mapping[Names, Found],
                                   for channel, share in zip(group.channels, level, strict=True)})
         if quieter is group:
             break
-        leader = converged(leader.weighed_as(replace(leader.problem, group=quieter)).refined())
+        leader = leader.weighed_as(replace(leader.problem, group=quieter))
+        leader = converged(min(_with_nominal(leader), key=_cost).refined())
     if leader is best:
         return dict(found)
     goal = leader.best.cost + COST_RANGE
@@ -91,12 +92,30 @@ def with_noise_from_fit(found: Mapping[Names, Found],
     def quiet(each: Found) -> Found:
         same = replace(each.problem.group, noise=group.noise, error_floor=group.error_floor)
         weighed = each.weighed_as(replace(each.problem, group=same))
-        if each.problem.is_far(each.best.cost) and not leader.problem.is_far(leader.best.cost):
-            return weighed   # it does not even explain what is above the larger noise
-        return converged(weighed.refined(goal=goal), goal)
+        # One that is part of the best must not be given up at values from before.
+        start = min(weighed, at_values_of(weighed, leader, freed_fields(leader)[0]), key=_cost)
+        if (each.problem.is_far(each.best.cost) and start.problem.is_far(start.best.cost)
+                and not leader.problem.is_far(leader.best.cost)):
+            return start   # it does not even explain what is above the larger noise
+        start = min(start, *_with_nominal(weighed), key=_cost)
+        return converged(start.refined(goal=goal), goal)
 
     return with_noise_from_fit({names: leader if each is best else quiet(each)
                                 for names, each in found.items()}, lowered)
+
+
+def _with_nominal(found: Found) -> tuple[Found, Found]:
+    """Return a fit, and that at nominal values, which it may have left for a larger noise."""
+    problem, (_, precision) = found.problem, found.problem.prior
+    shapes = [free in problem.group.shapes for free in problem.free]
+    theta = np.where((precision > 0.0) | shapes, problem.nominal, found.best.theta)
+    group = recorrected(problem.group, problem.record(theta))
+    return found, found._replace(problem=replace(problem, group=group),
+                                 best=found.best._replace(slopes=None)).at(theta)
+
+
+def _cost(found: Found) -> float:
+    return found.best.cost
 
 
 def with_usual_parameters(found: Found) -> Found:
@@ -111,6 +130,21 @@ def with_usual_parameters(found: Found) -> Found:
         share *= LIGHTER
         found = found.lighter(share, LIGHT_ROUNDS)
     return found
+
+
+def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
+    """
+    Return a hypothesis at the values of another fit for some fields.
+
+    With the integration error corrected as in that fit, if its sub-step is the same.
+    """
+    problem, best = found.problem, found.best._replace(slopes=None)
+    substeps = {float(each.problem.record(each.best.theta)['maximum_substep'])
+                for each in (found, other)}
+    if len(substeps) == 1:
+        problem = replace(problem, group=other.problem.group)
+    found = found._replace(problem=problem, best=best)
+    return found.at(with_values_of(found, other, fields))
 
 
 def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:

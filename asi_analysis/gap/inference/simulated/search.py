@@ -33,6 +33,7 @@ from asi_analysis.gap.inference.posterior import (
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
+    at_values_of,
     columns_of,
     converged,
     freed_fields,
@@ -295,15 +296,12 @@ def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[
 
 def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
     """Return a fit, repeated from the values of fits with one more effect if that costs less."""
-    problem, starts = base.problem, []
+    starts = []
     for found in more:
         fields, own = freed_fields(found)
-        starts += [with_values_of(base, found, names) for names in (fields - own, fields)]
-    costs = [problem.cost(start) for start in starts]
-    if min(costs, default=math.inf) > base.best.cost - GAIN:
-        return base
-    start = starts[int(np.argmin(costs))]
-    return converged(base._replace(best=most_probable(problem, start)))
+        starts += [at_values_of(base, found, names) for names in (fields - own, fields)]
+    best = min(starts, key=lambda start: start.best.cost, default=base)
+    return converged(best.refined()) if best.best.cost <= base.best.cost - GAIN else base
 
 
 def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
