@@ -10,6 +10,7 @@ import functools
 import gzip
 import json
 import math
+import os
 import shutil
 import time
 import warnings
@@ -230,6 +231,12 @@ def damaged(data: bytes, random: Random) -> bytes:
     return data
 
 
+def by_radamsa(data: bytes, random: Random) -> bytes:
+    """Return a file, damaged by radamsa, which knows nothing of these formats."""
+    import pyradamsa
+    return bytes(pyradamsa.Radamsa().fuzz(data, seed=random.getrandbits(32)))
+
+
 def read(path: Path) -> Answer | None:
     """
     Preview and read a file as its name says; return its analysis, None if it is no recording.
@@ -262,7 +269,8 @@ def file_problem(good: Path, folder: Path, random: Random) -> str:
     if dataset is not None:
         shutil.copytree(dataset, folder / dataset.name)
         path = folder / good.relative_to(dataset.parent)
-    path.write_bytes(damaged(good.read_bytes(), random))
+    damage = by_radamsa if os.environ.get('TORTURE_FUZZER') == 'radamsa' else damaged
+    path.write_bytes(damage(good.read_bytes(), random))
     try:
         with warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter('always')

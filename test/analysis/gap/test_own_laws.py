@@ -103,6 +103,6 @@ def test_shares_of_blocks_are_numbers():
     run = recorded(valve_hysteresis__model='full', valve_hysteresis__radius=20.0,
                    valve_hysteresis__lag_time=0.0, valve_hysteresis__saturation=1e6,
                    force_sensor__offset=15.0, backlash__gap=3e-4, friction__model='full',
-                   friction__coulomb=30.0)
+                   friction__coulomb=30.0)[:2500]
     shares = [each['share'] for each in document(diagnose([run], TEXTBOOK))['where']]
     assert sum(shares) == pytest.approx(1.0)

@@ -33,6 +33,7 @@ def test_same_seed_is_the_same_case():
     assert case.visibility == again.visibility
 
 
+@pytest.mark.slow
 def test_what_the_tolerances_explain_is_too_small():
     """A locked load at a lower supply pressure: thrust and gains within 20 % do the same."""
     case = draw_own(160018)
