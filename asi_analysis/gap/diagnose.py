@@ -402,7 +402,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'channel': shrink.channel, 'signal': signal_of(shrink.channel, diagnosis.runs[0],
                                                        diagnosis.plant),
         'before_nrmse': shrink.nominal, 'refitted_nrmse': shrink.refitted,
-        'after_nrmse': shrink.after, 'noise_floor_nrmse': shrink.noise_floor,
+        'after_nrmse': shrink.after, 'noise_floor_nrmse': shrink.noise_alone,
         'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high}
         for shrink in diagnosis.shrinks}
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)

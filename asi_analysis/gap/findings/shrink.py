@@ -38,6 +38,11 @@ class Shrink(NamedTuple):
     low: float
     high: float
 
+    @property
+    def noise_alone(self) -> float:
+        """Return the error of noise alone: that of a motion is estimated above its band."""
+        return min(self.noise_floor, self.refitted, self.after)
+
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
     """Return the mean square residual in each stretch of the validation samples."""

@@ -63,6 +63,8 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
             for left, before in zip(best.relative_residual, gap, strict=True)))
     elif not best.names and (group.other_formulation or best.unexplained):
         unknown = SIMULATOR.masked * _model_share(best)   # a model error may mask an effect
+    if best.improbable:   # an effect that nobody knows would leave the parameters as they are
+        unknown = max(unknown, as_probability(best.odds_of_one_more))
     if unknown == 0.0:
         return weighed
     outside = weighed.probability[(UNKNOWN,)]

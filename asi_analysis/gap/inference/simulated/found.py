@@ -120,10 +120,15 @@ class Found(NamedTuple):
         return self.problem.prior_cost(self.best.theta)
 
     @property
+    def odds_of_one_more(self) -> float:
+        """Return the log odds of one more effect, with which the parameters are as usual."""
+        usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
+        return float(self.prior_cost - usual - ODDS_AGAINST)
+
+    @property
     def improbable(self) -> bool:
         """Return whether the nominal parameters are far less probable than they usually are."""
-        usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
-        return bool(self.prior_cost > ODDS_AGAINST + usual)
+        return self.odds_of_one_more > 0.0
 
     @property
     def may_lack_an_effect(self) -> bool:
