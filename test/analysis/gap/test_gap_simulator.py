@@ -27,6 +27,7 @@ from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import search
 from asi_analysis.gap.inference.simulated.evidence import weigh
+from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
@@ -259,6 +260,19 @@ def test_a_parameter_within_its_tolerance_is_never_better_than_the_nominal_model
     named = at((mass.name,), mass.variants, mean)
     found = with_noise_from_fit({(): at((), (), mean + off), named.names: named})
     assert found[()].best.cost < found[named.names].best.cost + 1.0
+
+
+@pytest.mark.parametrize(('factor', 'low', 'high'), [(1.0, 0.0, 0.2), (2.0, 0.9, 1.0)])
+def test_what_takes_improbable_parameters_is_unknown_whatever_it_leaves(factor, low, high):
+    nominal = simulator.simulator_record({})
+    off = {f'valve_{name}': factor * float(nominal[f'valve_{name.replace(".", "_")}'])
+           for name in ('characteristic.gain', 'flexure.coil_frequency', 'hysteresis.radius')}
+    group = simulator_group(nominal, prepared([recorded(off, duration_s=1.5)]), ('valve',))
+    group = with_formulation(replace(group, effects=()), True)
+    problem = Posterior(group, group.nuisance)
+    best = most_probable(problem, problem.nominal)
+    weighed = weighed_of({(): Found((), (), problem, best)}, False)
+    assert low <= weighed.probability[('unknown',)] <= high
 
 
 @pytest.mark.slow
