@@ -19,7 +19,11 @@ from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.force_sensor import CARD_DAMPING
 from asi_actuator.model.friction import friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
-from asi_actuator.model.linear_lag import second_order, second_order_step
+from asi_actuator.model.linear_lag import (
+    first_order_or_none,
+    second_order,
+    second_order_step,
+)
 from asi_actuator.model.valve_characteristic import valve_position
 from asi_actuator.model.valve_flexure import dead_zone
 from asi_actuator.model.valve_hysteresis import (
@@ -159,22 +163,6 @@ def held_command(command, position, step):
 
 
 @jit
-def lag_weights(time, h):
-    """
-    Return the weights of a first-order lag of `time` s for a step of `h` s.
-
-    Of its last output, and of its input before and after; exact for an input that is linear in
-    time.
-    """
-    if time <= 0.0:
-        return 0.0, 0.0, 1.0
-    a = h / time
-    decay = math.exp(-a)
-    ramp = (1.0 - decay) / a
-    return decay, ramp - decay, 1.0 - ramp
-
-
-@jit
 def valve(command, p, e, period, count, out):
     """
     Put the valve position (m) at each sample into `out`.
@@ -190,14 +178,14 @@ def valve(command, p, e, period, count, out):
     coil_decay = math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h)
     flexure = second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h)
     # For an input that is held over each step, as the command is.
-    keep, _, _ = lag_weights(e.valve_lag * (1.0 - e.valve_lag_split), h)
-    keep_2, old_2, new_2 = lag_weights(e.valve_lag * e.valve_lag_split, h)
+    keep, _, _ = first_order_or_none(e.valve_lag * (1.0 - e.valve_lag_split), h)
+    keep_2, old_2, new_2 = first_order_or_none(e.valve_lag * e.valve_lag_split, h)
     start = command[0] + e.command_bias
     widths = spread(e.valve_hysteresis_spread)
     # Before the recording the plays were at rest.
     plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
-    magnet = lag_weights(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time
-                         * (p.valve_hysteresis_model == FULL), h)
+    magnet = first_order_or_none(p.valve_hysteresis_lagged * p.valve_hysteresis_lag_time
+                                 * (p.valve_hysteresis_model == FULL), h)
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
@@ -411,15 +399,15 @@ def pressed(hydraulic, before, after, oil, p, e, h):
     """
     Return the hydraulic force (N) after `h` s.
 
-    before, after: steady-state force (N) at both ends, linear between; oil: `lag_weights` without
-    leakage and air.
+    before, after: steady-state force (N) at both ends, linear between; oil: its lag, with neither
+    leakage nor air.
     """
     if e.leakage_linear == 0.0 and e.leakage_quadratic == 0.0 and e.air_time == 0.0:
         return oil[0] * hydraulic + oil[1] * before + oil[2] * after
     size = abs(hydraulic) / e.force_scale
     leak = 1.0 + e.leakage_linear + e.leakage_quadratic * size
     time = fluid_time(p) + e.air_time / (1.0 + e.air_stiffening * size)
-    keep, old, new = lag_weights(time / leak, h)
+    keep, old, new = first_order_or_none(time / leak, h)
     return keep * hydraulic + (old * before + new * after) / leak
 
 
@@ -432,7 +420,7 @@ def travel(position, p, e, damping, stiffness, period, count, out):
     of the load; `count` sub-steps per sample of `period` s, of half a time constant at most.
     """
     h = period / count
-    oil = lag_weights(fluid_time(p), h)
+    oil = first_order_or_none(fluid_time(p), h)
     keep = math.exp(-h / e.supply_time)
     extra, reach = seized(e)
     slips, sizes = np.zeros(PLAYS), spread(0.6)
@@ -473,9 +461,9 @@ def force(wanted, rub, acceleration, p, e, period, count, out):
     flexure = second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h)
     sensor_gain = p.force_sensor_linear_gain if p.force_sensor_model == LINEAR else 1.0
 
-    oil = lag_weights(fluid_time(p), h)
-    slow = lag_weights(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
-    slower = lag_weights(e.sensor_lag * e.sensor_lag_split, h)
+    oil = first_order_or_none(fluid_time(p), h)
+    slow = first_order_or_none(e.sensor_lag * (1.0 - e.sensor_lag_split), h)
+    slower = first_order_or_none(e.sensor_lag * e.sensor_lag_split, h)
 
     # The sensor does not measure the inertia of the mass before it.
     mass = p.force_sensor_mass_share * p.load_mass

@@ -11,10 +11,11 @@ from typing import Final
 
 import numpy as np
 
+from asi_actuator.model.linear_lag import first_order_or_none
 from asi_actuator.model.valve_flexure import dead_zone
 from asi_actuator.model.valve_hysteresis import play
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.blocks import drift, lag_weights
+from asi_analysis.gap.model.blocks import drift
 from asi_analysis.gap.model.effects import OF_A_RECORDING, of_recording
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
@@ -88,8 +89,8 @@ def characteristic(given, p, period, out):
     """Put the output at each sample into `out`; given: the input, n samples `period` s apart."""
     plays, radii = np.empty(PLAYS), np.empty(PLAYS)
     share = p.loop_share if p.loop_width > 0.0 else 0.0
-    keep, old, new = lag_weights(p.valve_lag * (1.0 - p.valve_lag_split), period)
-    keep_2, old_2, new_2 = lag_weights(p.valve_lag * p.valve_lag_split, period)
+    keep, old, new = first_order_or_none(p.valve_lag * (1.0 - p.valve_lag_split), period)
+    keep_2, old_2, new_2 = first_order_or_none(p.valve_lag * p.valve_lag_split, period)
     for i in range(PLAYS):
         spread = 1.0 + p.loop_spread * ((2.0 * i + 1.0) / PLAYS - 1.0)
         radii[i] = spread * p.loop_width / share if share > 0.0 else 0.0

@@ -14,6 +14,7 @@ from asi_analysis.gap.inference.posterior import (
     most_probable,
 )
 from asi_analysis.gap.inference.probability import (
+    NONE_HIDDEN,
     SIMULATOR,
     Names,
     as_probability,
@@ -63,8 +64,9 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
             for left, before in zip(best.relative_residual, gap, strict=True)))
     elif not best.names and (group.other_formulation or best.unexplained):
         unknown = SIMULATOR.masked * _model_share(best)   # a model error may mask an effect
-    if best.improbable:   # an effect that nobody knows would leave the parameters as they are
-        unknown = max(unknown, as_probability(best.odds_of_one_more))
+    # An unknown effect may leave the parameters as they are, and so may laws of another form.
+    if best.names and best.improbable:
+        unknown = max(unknown, NONE_HIDDEN * as_probability(best.odds_of_one_more))
     if unknown == 0.0:
         return weighed
     outside = weighed.probability[(UNKNOWN,)]
