@@ -269,7 +269,7 @@ def file_problem(good: Path, folder: Path, random: Random) -> str:
     if dataset is not None:
         shutil.copytree(dataset, folder / dataset.name)
         path = folder / good.relative_to(dataset.parent)
-    damage = by_radamsa if os.environ.get('TORTURE_FUZZER') == 'radamsa' else damaged
+    damage = {'own': damaged, 'radamsa': by_radamsa}[os.environ.get('TORTURE_FUZZER', 'own')]
     path.write_bytes(damage(good.read_bytes(), random))
     try:
         with warnings.catch_warnings(record=True) as noted:

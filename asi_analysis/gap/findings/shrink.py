@@ -40,8 +40,12 @@ class Shrink(NamedTuple):
 
     @property
     def noise_alone(self) -> float:
-        """Return the error of noise alone: that of a motion is estimated above its band."""
-        return min(self.noise_floor, self.refitted, self.after)
+        """
+        Return the error of noise alone, at most what a model leaves.
+
+        That of a motion is estimated above its band, where there may be more than in it.
+        """
+        return min(self.noise_floor, self.nominal, self.refitted, self.after)
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:

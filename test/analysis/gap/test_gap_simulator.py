@@ -25,7 +25,7 @@ from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
-from asi_analysis.gap.inference.simulated import search
+from asi_analysis.gap.inference.simulated import fits, search
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
@@ -262,6 +262,23 @@ def test_a_parameter_within_its_tolerance_is_never_better_than_the_nominal_model
     assert found[()].best.cost < found[named.names].best.cost + 1.0
 
 
+def test_a_fit_that_left_the_nominal_values_for_noise_begins_there_again(monkeypatch):
+    """As soon as the noise turns out to be smaller; else it may end elsewhere."""
+    nominal = simulator.simulator_record({})
+    group = simulator_group(nominal, prepared([recorded({}, noise=0.0, duration_s=1.5)]),
+                            ('valve',))
+    noisy = replace(group, noise={'valve': 1e3 * group.noise['valve']}, error_floor={
+        'valve': 1e6 * group.noise['valve'] ** 2 + group.other_error['valve']})
+    problem = Posterior(noisy, noisy.nuisance)
+    off = np.clip(problem.nominal + 0.02, 0.0, 1.0)
+    null = Found((), (), problem, Best(off, 0.0, off)).at(off)
+    monkeypatch.setattr(Found, 'refined', lambda found, *_, **__: found)
+    monkeypatch.setattr(fits, 'converged', lambda found, *_: found)
+    found = with_noise_from_fit({(): null})[()]
+    assert found.problem.group.noise['valve'] < noisy.noise['valve']
+    np.testing.assert_allclose(found.best.theta, problem.nominal)
+
+
 @pytest.mark.parametrize(('factor', 'low', 'high'), [(1.0, 0.0, 0.2), (2.0, 0.5, 0.9)])
 def test_an_effect_beside_improbable_parameters_is_not_sure(factor, low, high):
     nominal = simulator.simulator_record({})
@@ -280,6 +297,7 @@ def test_an_effect_beside_improbable_parameters_is_not_sure(factor, low, high):
     weighed = weighed_of({(): fit((), ()), ('valve_bias',): fit(('valve_bias',), bias)}, False)
     unknown = sum(chance for names, chance in weighed.probability.items() if 'unknown' in names)
     assert low <= unknown <= high
+    assert sum(weighed.probability.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.slow

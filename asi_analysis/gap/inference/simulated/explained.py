@@ -65,14 +65,15 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
     elif not best.names and (group.other_formulation or best.unexplained):
         unknown = SIMULATOR.masked * _model_share(best)   # a model error may mask an effect
     # An unknown effect may leave the parameters as they are, and so may laws of another form.
-    if best.names and best.improbable:
+    if best.names:
         unknown = max(unknown, NONE_HIDDEN * as_probability(best.odds_of_one_more))
     if unknown == 0.0:
         return weighed
     outside = weighed.probability[(UNKNOWN,)]
     chance = with_unknown({names: weighed.probability[names] for names in candidates}, unknown,
                           float((1.0 - np.sqrt(best.relative_residual / gap)).max()))
-    return weighed._replace(probability=chance | {(UNKNOWN,): chance[(UNKNOWN,)] + outside})
+    return weighed._replace(probability=chance | {
+        (UNKNOWN,): chance[(UNKNOWN,)] + (1.0 - unknown) * outside})
 
 
 def _fitted_to_the_end(weighed: Weighed) -> Found:

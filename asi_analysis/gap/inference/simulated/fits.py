@@ -93,11 +93,11 @@ def with_noise_from_fit(found: Mapping[Names, Found],
         same = replace(each.problem.group, noise=group.noise, error_floor=group.error_floor)
         weighed = each.weighed_as(replace(each.problem, group=same))
         # One that is part of the best must not be given up at values from before.
-        start = min(weighed, at_values_of(weighed, leader, freed_fields(leader)[0]), key=_cost)
+        start = min(*_with_nominal(weighed),
+                    at_values_of(weighed, leader, freed_fields(leader)[0]), key=_cost)
         if (each.problem.is_far(each.best.cost) and start.problem.is_far(start.best.cost)
                 and not leader.problem.is_far(leader.best.cost)):
             return start   # it does not even explain what is above the larger noise
-        start = min(start, *_with_nominal(weighed), key=_cost)
         return converged(start.refined(goal=goal), goal)
 
     return with_noise_from_fit({names: leader if each is best else quiet(each)
@@ -142,7 +142,8 @@ def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
     substeps = {float(each.problem.record(each.best.theta)['maximum_substep'])
                 for each in (found, other)}
     if len(substeps) == 1:
-        problem = replace(problem, group=other.problem.group)
+        problem = replace(problem, group=replace(
+            problem.group, recordings=other.problem.group.recordings))
     found = found._replace(problem=problem, best=best)
     return found.at(with_values_of(found, other, fields))
 

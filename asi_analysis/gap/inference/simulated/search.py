@@ -300,8 +300,12 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
     for found in more:
         fields, own = freed_fields(found)
         starts += [at_values_of(base, found, names) for names in (fields - own, fields)]
-    best = min(starts, key=lambda start: start.best.cost, default=base)
-    return converged(best.refined()) if best.best.cost <= base.best.cost - GAIN else base
+    start = min(starts, key=lambda start: start.best.cost, default=base)
+    if start.best.cost > base.best.cost - GAIN:
+        return base
+    # The start was simulated with another correction of the integration error.
+    refitted = converged(start.refined())
+    return refitted if refitted.best.cost < base.best.cost - GAIN else base
 
 
 def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
