@@ -11,11 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import NOISIER, Group, Values, least_error
+from asi_common.record import field_name
 
 TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
+BLOCKS = {field_name(parameter.name): parameter.name.partition('.')[0]
+          for parameter in ACTUATOR_PARAMETERS}
 MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
 
 
@@ -61,11 +65,21 @@ def with_lower_floor(group: Group, residual: Values) -> Group:
 
 def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: Group
                             ) -> tuple[Free, ...]:
-    """Return free parameters with their tolerance after a change of the group's formulation."""
+    """
+    Return free parameters with their tolerance after a change of the group's formulation.
+
+    Only the parameters of the laws that have several formulations mean something else in another.
+    """
     wider = TOLERANCE_FACTOR if after.may_differ else 1.0
     ratio = wider ** (after.other_formulation - before.other_formulation)
-    return tuple(free._replace(prior=ratio * free.prior) if free.scale == 'nominal' else free
+    return tuple(free._replace(prior=ratio * free.prior) if is_of_law(free, after) else free
                  for free in frees)
+
+
+def is_of_law(free: Free, group: Group) -> bool:
+    """Return whether a nominal parameter is of a law that books formulate in several ways."""
+    laws = {BLOCKS[shape.field] for shape in group.shapes}
+    return free.scale == 'nominal' and BLOCKS.get(free.field) in laws
 
 
 def model_error(group: Group) -> Array:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from asi_analysis.gap.formulation import TOLERANCE_FACTOR
+from asi_analysis.gap.formulation import TOLERANCE_FACTOR, is_of_law
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
@@ -68,7 +68,10 @@ def _beyond(weighed: Weighed, names: Names, times: float) -> dict[str, Variant]:
     group, candidate = weighed.group, weighed.candidates[names]
     fitted, found = candidate.fitted, dict[str, Variant]()
     own = {free.field for variant in candidate.variants for free in variant.free}
-    suspects = [free for free in fitted.free if free.field in fitted.at_limit.keys() - own]
+    # Of laws formulated in another way, a parameter means something slightly different.
+    others = group.other_formulation and group.may_differ
+    suspects = [free for free in fitted.free if free.field in fitted.at_limit.keys() - own
+                and not (others and is_of_law(free, group))]
     if not suspects:
         return found
     known = likelihood(fitted)

@@ -342,6 +342,18 @@ def test_other_laws_keep_their_model_error_in_a_quiet_recording():
     assert lower.error_floor['valve'] == pytest.approx(1e-6 * group.error_floor['valve'])
 
 
+def test_only_parameters_of_laws_of_several_forms_have_wider_tolerances_in_another_one():
+    """A mass or a gain is the same whatever the law of the friction."""
+    group = simulator_group(simulator.simulator_record({'load.type': 'spring'}),
+                            prepared([recorded({'load.type': 'spring'})]), CHANNELS)
+    other = {free.field: free.prior for free in with_formulation(group, True).nuisance}
+    ratio = {free.field: other[free.field] / free.prior for free in group.nuisance
+             if free.prior < math.inf and free.scale == 'nominal'}
+    wider = {field for field, value in ratio.items() if value > 1.0}
+    assert {field.partition('_')[0] for field in wider} == {'friction', 'hydraulic'}
+    assert ratio['load_mass'] == ratio['force_sensor_gain'] == 1.0
+
+
 def test_an_effect_is_as_sure_beside_another_shape_of_the_laws():
     """Without it a hundred times the noise is left, whatever the shape; with it nothing."""
     nominal = {'load.type': 'spring'}

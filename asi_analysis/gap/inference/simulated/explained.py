@@ -46,11 +46,7 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
         return None
     chance, found = weigh(group, found)
     candidates = {names: Candidate(names, f.variants, f.as_fitted) for names, f in found.items()}
-    weighed = Weighed(group, candidates, chance)
-    # A parameter of laws formulated in another way means something slightly different: a value
-    # just beyond its tolerance is not a finding.
-    if not (group.other_formulation and group.may_differ):
-        weighed = with_parameters_named(weighed)
+    weighed = with_parameters_named(Weighed(group, candidates, chance))
     best, gap, unknown = _fitted_to_the_end(weighed), found[()].relative_residual, 0.0
     candidates = weighed.candidates | {best.names: Candidate(best.names, best.variants,
                                                              best.as_fitted)}
