@@ -283,7 +283,7 @@ def test_a_fit_that_left_the_nominal_values_for_noise_begins_there_again(monkeyp
 def test_an_effect_beside_improbable_parameters_is_not_sure(factor, low, high):
     nominal = simulator.simulator_record({})
     off = {f'valve_{name}': factor * float(nominal[f'valve_{name.replace(".", "_")}'])
-           for name in ('characteristic.gain', 'flexure.coil_frequency', 'hysteresis.radius')}
+           for name in ('hysteresis.radius', 'hysteresis.lag_time', 'hysteresis.saturation')}
     group = simulator_group(nominal, prepared([recorded(
         {**off, 'valve_flexure.bias': 20.0}, duration_s=1.5)]), ('valve',))
     bias = next(each for each in group.effects if each.name == 'valve_bias').variants[:1]
