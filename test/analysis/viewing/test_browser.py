@@ -88,6 +88,7 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
     # On its way the thumb passes smaller gains, which the node may have had too.
     wait_until(lambda: 1.0 < tab.shown_gain() < 100.0 and tab.shown_gain() == get_parameters(
         'asi_controller', ['gain'])['gain'], 'the gain of the node')
+    assert 1.0 < tab.shown_gain() < 100.0
     tab.press('20 s')
     tab.press('Step')
     force, _ = CHARTS
