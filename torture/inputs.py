@@ -459,6 +459,7 @@ def inputs(rig: Rig, tally: Tally, end: float) -> None:
     for number in range(FILES):
         if time.monotonic() > end:
             return
+        tally.notes['files damaged'] = number + 1
         good = files[number % len(files)]
         tally.count(f'{good.name} damaged', file_problem(good, rig.folder / 'bad', rig.random))
         for every, run, analysis in analyses:

@@ -121,7 +121,7 @@ class Found(NamedTuple):
 
     @property
     def odds_of_one_more(self) -> float:
-        """Return the log odds of one more effect, with which the parameters are as usual."""
+        """Return the log odds for an unknown effect beside which the parameters are as usual."""
         usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
         return float(self.prior_cost - usual - ODDS_AGAINST)
 
