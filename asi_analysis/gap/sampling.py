@@ -36,6 +36,16 @@ def noise_of(signal: Array) -> float:
     return white
 
 
+def noise_spectrum(frequency: Array, correlation: float) -> Array:
+    """
+    Return the power density of noise over that of white noise with the same variance.
+
+    frequency: cycles per sample; correlation: from sample to sample, of first order.
+    """
+    lag = np.exp(-2j * np.pi * frequency)
+    return (1.0 - correlation ** 2) / np.abs(1.0 - correlation * lag) ** 2
+
+
 def clipped(signal: Array) -> Mask:
     """
     Return the samples at which a signal is clipped at its largest or smallest value.

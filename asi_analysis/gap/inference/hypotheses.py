@@ -16,6 +16,10 @@ import numpy as np
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.course import in_step
+from asi_analysis.gap.inference.coloured_noise import (
+    with_coloured_noise,
+    with_noise_of_valve,
+)
 from asi_analysis.gap.inference.fit import (
     Fitted,
     LinearScreen,
@@ -345,6 +349,8 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
         if answer is not None:
             weighed.append(answer)
             continue
+        if weighed and weighed[0].group.channels == ('valve',):
+            group = with_noise_of_valve(group, weighed[0].group)
         sure = weighed and marginals(weighed[0].probability)[UNKNOWN] < 0.5
         if sure and weighed[0].group.channels == ('valve',):
             best = max(weighed[0].candidates, key=lambda n: weighed[0].probability[n])
@@ -355,11 +361,20 @@ def weigh_groups(groups: Sequence[Group], tick: Callable[[], None] = lambda: Non
         if group.channels != ('static',) and (
                 quieter := with_lower_noise(group, null.held_out)) is not group:
             group, null = quieter, fit_null(quieter)
-        group = with_parameter_errors(group, null)
+        group = with_parameter_errors(_with_noise_left(group, null), null)
         found = candidates_of(group, null, tick)
+        leader = min(found.values(), key=lambda candidate: candidate.fitted.cost)
+        group = _with_noise_left(group, leader.fitted)
         weighed.append(_weigh_static(group, null, found) if group.channels == ('static',) else
                        weigh(group, found))
     return weighed
+
+
+def _with_noise_left(group: Group, fitted: Fitted) -> Group:
+    """Return a group of an actuator with what a fit leaves as noise, if it is noise, but more."""
+    if group.floor_by_best or group.channels == ('static',):
+        return group
+    return with_coloured_noise(group, fitted.record)
 
 
 def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> Weighed:

@@ -30,6 +30,7 @@ from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_st
 from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.sampling import noise_spectrum
 from asi_analysis.parallel import cores
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
@@ -174,7 +175,8 @@ def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, flo
     if not recording.at_rest:   # the response to commands before the recording
         missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
-    noise = 2.0 * recording.noise['valve_position'] ** 2
+    noise = 2.0 * recording.noise['valve_position'] ** 2 * noise_spectrum(
+        frequency, recording.colour.get('valve_position', 0.0))
     keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
     keep[keep <= LEAST_SHARE] = 0.0
     left = keep ** 2 * noise + (1.0 - keep) ** 2 * np.maximum(power - noise, 0.0)

@@ -16,6 +16,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
+from asi_analysis.gap.inference.coloured_noise import has_coloured_noise
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import (
     ODDS_AGAINST,
@@ -68,7 +69,8 @@ def weigh(group: Group, found: Mapping[Names, Found]
     level = np.maximum(mean_squares(least.problem, least.best.residual), exact)
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
-    equal = equal_below(least) if group.other_formulation else exact
+    equal = (equal_below(least) if group.other_formulation or has_coloured_noise(group)
+             else exact)
     simplest = _simplest_explained(found) if group.may_differ else None
 
     def left(each: Found) -> Array:
@@ -162,7 +164,8 @@ def equal_below(best: Found) -> Array:
     Return the mean square residual of each channel below which hypotheses fit equally well.
 
     In error floors. best: the hypothesis with the lowest cost. The model error of laws that are
-    formulated in another way is an unknown signal, so a smaller difference is no evidence.
+    formulated in another way is an unknown signal, so a smaller difference is no evidence. Nor is
+    one below the share of coloured noise that is not sure.
     """
     group = best.problem.group
     level = mean_squares(best.problem, best.best.residual) + model_error(group)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.coloured_noise import with_coloured_noise
 from asi_analysis.gap.inference.posterior import (
     LIGHT_ROUNDS,
     Posterior,
@@ -64,6 +65,23 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(
         problem, found.best.theta, goal=goal)), goal)
+
+
+def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """Return hypotheses with the residual of the best as noise, where it is noise, but more."""
+    best = min(found.values(), key=_cost)
+    louder = with_coloured_noise(best.problem.group, best.problem.record(best.best.theta))
+    if louder is best.problem.group:
+        return dict(found)
+
+    def same(each: Found) -> Found:
+        own = each.problem.group
+        recordings = [replace(r, noise=heard.noise, colour=heard.colour)
+                      for r, heard in zip(own.recordings, louder.recordings, strict=True)]
+        return each.weighed_as(replace(each.problem, group=replace(
+            own, noise=louder.noise, error_floor=louder.error_floor, recordings=recordings)))
+
+    return {names: same(each) for names, each in found.items()}
 
 
 def with_noise_from_fit(found: Mapping[Names, Found],

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from asi_analysis.gap.inference.coloured_noise import with_noise_of_valve
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
-from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
+from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit, with_noise_left
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
@@ -59,8 +60,9 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None]) -> list[OwnLa
     """
     valve, *others = groups
     valve, gain = with_free_gain(valve) if others else (valve, None)
-    first, fitted = _own_laws(valve, tick)
-    rest = [_own_laws(with_simulated_valve(each, fitted, gain), tick)[0] for each in others]
+    first, fitted, valve = _own_laws(valve, tick)
+    rest = [_own_laws(with_simulated_valve(with_noise_of_valve(each, valve), fitted, gain),
+                      tick)[0] for each in others]
     if any(law.weighed is None and gain_is_off(fitted, each, gain)
            for law, each in zip(rest, others, strict=True)):
         first = first._replace(weighed=None)   # the gain is judged with the valve, block by block
@@ -68,17 +70,17 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None]) -> list[OwnLa
     return [first, *(each._replace(gap=each.gap and first.weighed is not None) for each in rest)]
 
 
-def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, np.void]:
-    """Return what the simulator's own laws say of a group, and the record of the best fit."""
-    null = with_noise_from_fit({(): null_fit(group)})[()]
-    found = single_effects(null, tick, True)
+def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, np.void, Group]:
+    """Return what the simulator's own laws say of a group; the best fit's record and group."""
+    null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
+    found = with_noise_left(single_effects(null, tick, True))
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
-        return OwnLaws(None, gap), best.as_fitted.record
+        return OwnLaws(None, gap), best.as_fitted.record, best.problem.group
     weighed = weighed_of(in_formulation(found, True), True)
-    return (OwnLaws(weighed, gap), best.as_fitted.record if weighed is None else
-            most_probable_of(weighed).fitted.record)
+    fitted = best.as_fitted if weighed is None else most_probable_of(weighed).fitted
+    return OwnLaws(weighed, gap), fitted.record, best.problem.group
 
 
 def _mostly_explains(found: Found, null: Found) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import with_lower_floor
+from asi_analysis.gap.inference.coloured_noise import with_noise_of_valve
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
@@ -39,6 +40,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     freed_fields,
     is_coarse,
     with_noise_from_fit,
+    with_noise_left,
     with_usual_parameters,
     with_values_of,
 )
@@ -89,7 +91,8 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
         return [None if first is None else first.weighed, *(None for _ in others)]
     rest, = others
     second = _explained(with_simulated_valve(
-        rest, most_probable_of(first.weighed).fitted.record, gain), tick, alone)
+        with_noise_of_valve(rest, first.weighed.group),
+        most_probable_of(first.weighed).fitted.record, gain), tick, alone)
     # If the laws behind the valve are formulated in another way, so are the valve's, although
     # its position may not show it; unless they are far less probable with no effect.
     costs = [each.best.cost for each in first.found.values()]
@@ -139,13 +142,14 @@ class _Explained(NamedTuple):
 
 def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explained | None:
     """Return a group, if the simulator explains it."""
-    rough = rough_null_fit(group)
+    rough = with_noise_left({(): rough_null_fit(group)})[()]
     only = changed_alone(with_start_of_fit(rough), tick) if hides_an_effect(rough) else None
     if only:   # beside that, a nominal model that is far from it need not be fitted to the end
         null = with_start_of_fit(
             rough if rough.problem.is_far(rough.best.cost) else to_the_end(rough))
     else:
-        null = with_noise_from_fit({(): with_start_of_fit(to_the_end(rough))})[()]
+        null = with_noise_left(with_noise_from_fit(
+            {(): with_start_of_fit(to_the_end(rough))}))[()]
         if not null.unexplained:   # without noise it shows more than a model error would allow
             null = with_noise_from_fit({(): null}, with_lower_floor)[()]
     found = _hypotheses(null, only, tick, alone)
@@ -230,7 +234,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
 
     only: as in `single_effects`; alone: as in `explained_by_simulator`.
     """
-    found = single_effects(null, tick, alone, only)
+    found = with_noise_left(single_effects(null, tick, alone, only))
     singles = [names for names in found if names]
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
@@ -242,7 +246,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     if promised < ODDS_AGAINST or not (
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
-    pairs = _best_of(found, _pairs(found[()], first, tick, alone))
+    pairs = with_noise_left(_best_of(found, _pairs(found[()], first, tick, alone)))
     return (in_best_formulation(with_noise_from_fit(pairs), found)
             if alone or _only_noise_left(pairs) else pairs)
 

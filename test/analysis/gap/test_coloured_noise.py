@@ -1,0 +1,100 @@
+"""Noise that is not white: told from a gap, and as strong as it is."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.inference.coloured_noise import correlation_of, with_coloured_noise
+from asi_analysis.gap.inference.probability import marginals
+from asi_analysis.gap.model import simulator
+from asi_analysis.gap.model.group import simulator_group
+from asi_analysis.gap.prepare import prepare as prepared
+from asi_analysis.gap.sampling import noise_spectrum
+from asi_analysis.loop.closed_loop import simulate_loop
+
+LINEAR = {'load.type': 'spring', 'valve_hysteresis.model': 'off', 'friction.model': 'off',
+          'hydraulic_damping.model': 'linear', 'valve_characteristic.model': 'off',
+          'force_sensor.model': 'off', 'force_sensor.mass_share': 0.0}
+LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisine',
+        'reference.frequency': 0.5, 'reference.end_frequency': 60.0,
+        'reference.amplitude': 200.0, 'reference.start': 0.05}
+LEVEL = {'force_n': 1.0, 'valve_position_m': 2e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
+
+
+def noise(colour, count, seed=3):
+    """Return noise of standard deviation 1 with this correlation from sample to sample."""
+    white = np.random.default_rng(seed).standard_normal(count + 1000)
+    return lfilter([np.sqrt(1.0 - colour ** 2)], [1.0, -colour], white)[1000:]
+
+
+def correlation(signal):
+    """Return the correlation of a signal from sample to sample, if it is noise."""
+    return correlation_of(signal[:-1], signal[1:])
+
+
+def telegraph(count):
+    """Return a signal of -1 and 1 that changes its sign now and then, at random."""
+    return np.where(np.cumsum(np.random.default_rng(5).random(count) < 0.02) % 2, 1.0, -1.0)
+
+
+def recorded(machine, colour):
+    """Return 3 s of the simulator at 1 kHz, with noise of this colour."""
+    signals = simulate_loop(machine, LOOP, 3.0, 1000.0)._asdict()
+    for seed, (name, level) in enumerate(LEVEL.items()):
+        signals[name] = signals[name] + level * noise(colour, signals[name].size, seed)
+    del signals['reference_n']
+    return Run(**signals)
+
+
+@pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.95])
+def test_noise_is_recognised_whatever_its_colour(colour):
+    assert correlation(noise(colour, 8000)) == pytest.approx(colour, abs=0.03)
+
+
+@pytest.mark.parametrize('added', [
+    lambda t: np.sin(2.0 * np.pi * 7.0 * t),                 # what a model misses of a motion
+    lambda t: 0.8 * np.sign(np.sin(2.0 * np.pi * 2.0 * t)),      # friction, or a play
+    lambda t: 1.5 * (t > 4.0) * np.exp(4.0 - t),                 # a pulse
+    lambda t: 4.0 * telegraph(t.size)])     # a force that jumps: its spectrum is that of noise
+def test_what_a_model_misses_is_no_noise(added):
+    time = 1e-3 * np.arange(8000)
+    assert correlation(added(time) + noise(0.8, time.size)) is None
+
+
+@pytest.mark.parametrize('nothing', [np.zeros(100), np.ones(100), np.ones(2)])
+def test_a_residual_that_is_constant_is_no_noise(nothing):
+    assert correlation(nothing) is None
+
+
+def test_the_spectrum_of_noise_is_that_of_its_correlation():
+    frequency = np.fft.rfftfreq(200_000)
+    power = np.abs(np.fft.rfft(noise(0.7, 200_000))) ** 2 / 200_000
+    for low, high in ((0.0, 0.01), (0.05, 0.1), (0.3, 0.5)):
+        band = (frequency > low) & (frequency < high)
+        assert power[band].mean() == pytest.approx(
+            noise_spectrum(frequency[band], 0.7).mean(), rel=0.05)
+
+
+def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
+    run = recorded(LINEAR, 0.8)
+    p = simulator.simulator_record(LINEAR)
+    group = simulator_group(p, prepared([run]), ('valve',), linear=True)
+    assert group.noise['valve'] < 0.6 * LEVEL['valve_position_m']
+    found = with_coloured_noise(group, p)
+    assert math.sqrt(found.error_floor['valve']) == pytest.approx(2e-7, rel=0.1)
+    assert found.recordings[0].noise['valve_position'] == pytest.approx(2e-7, rel=0.1)
+    assert found.recordings[0].colour == {'valve_position': pytest.approx(0.8, abs=0.03)}
+    p['valve_flexure_deadband'] = 60.0
+    assert with_coloured_noise(group, p) is group
+
+
+@pytest.mark.parametrize(('effect', 'verdict'), [
+    ({}, ''), ({'valve_flexure.deadband': 60.0}, 'valve_deadband')])
+def test_coloured_noise_is_no_gap_and_hides_none(effect, verdict):
+    found = diagnose([recorded(LINEAR | effect, 0.85)], LINEAR)
+    assert '+'.join(found.verdict) == verdict
+    assert marginals(found.joined)['unknown'] < 0.2
