@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
-from asi_analysis.gap.inference.coloured_noise import correlation_of, with_coloured_noise
+from asi_analysis.gap.inference.coloured_noise import noise_of_residual, with_coloured_noise
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import simulator_group
@@ -31,9 +31,10 @@ def noise(colour, count, seed=3):
     return lfilter([np.sqrt(1.0 - colour ** 2)], [1.0, -colour], white)[1000:]
 
 
-def correlation(signal):
-    """Return the correlation of a signal from sample to sample, if it is noise."""
-    return correlation_of(signal[:-1], signal[1:])
+def found_in(signal, command=None):
+    """Return the noise in a signal, if it is noise; command: what may cause it."""
+    commands = np.zeros((signal.size - 1, 1)) if command is None else command[:-1, None]
+    return noise_of_residual(signal[:-1], signal[1:], commands)
 
 
 def telegraph(count):
@@ -52,22 +53,41 @@ def recorded(machine, colour):
 
 @pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.95])
 def test_noise_is_recognised_whatever_its_colour(colour):
-    assert correlation(noise(colour, 8000)) == pytest.approx(colour, abs=0.03)
+    found = found_in(noise(colour, 8000))
+    assert found.correlation == pytest.approx(colour, abs=0.03)
+    assert found.variance == pytest.approx(1.0, rel=0.2)
 
 
-@pytest.mark.parametrize('added', [
-    lambda t: np.sin(2.0 * np.pi * 7.0 * t),                 # what a model misses of a motion
-    lambda t: 0.8 * np.sign(np.sin(2.0 * np.pi * 2.0 * t)),      # friction, or a play
-    lambda t: 1.5 * (t > 4.0) * np.exp(4.0 - t),                 # a pulse
-    lambda t: 4.0 * telegraph(t.size)])     # a force that jumps: its spectrum is that of noise
-def test_what_a_model_misses_is_no_noise(added):
+@pytest.mark.parametrize('missed', [
+    lambda t: 2.0 * np.sin(2.0 * np.pi * 7.0 * t),               # of a motion
+    lambda t: 2.0 * np.sin(2.0 * np.pi * (0.5 + 5.0 * t) * t),   # of a chirp up to 60 Hz
+    lambda t: 3.0 * (t > 4.0) * np.exp(4.0 - t)])                # of a pulse
+def test_what_a_model_misses_at_low_frequencies_is_not_counted_as_noise(missed):
     time = 1e-3 * np.arange(8000)
-    assert correlation(added(time) + noise(0.8, time.size)) is None
+    found = found_in(missed(time) + noise(0.8, time.size))
+    assert 0.4 < found.variance < 1.25
+
+
+@pytest.mark.parametrize('missed', [
+    lambda t: 4.0 * telegraph(t.size),               # a force that jumps
+    lambda t: 8.0 * (np.arange(t.size) % 50 == 0)])  # lost samples
+def test_what_is_not_normal_is_no_noise(missed):
+    """Though a force that jumps has the spectrum of noise."""
+    time = 1e-3 * np.arange(8000)
+    assert found_in(missed(time) + noise(0.8, time.size)) is None
+
+
+def test_what_follows_a_random_command_is_no_noise():
+    """Though a lag of a random command has the spectrum of noise."""
+    command = np.random.default_rng(6).standard_normal(8000)
+    lagged = lfilter([0.0, 0.2], [1.0, -0.8], command)
+    assert found_in(lagged) is not None
+    assert found_in(lagged, command) is None
 
 
 @pytest.mark.parametrize('nothing', [np.zeros(100), np.ones(100), np.ones(2)])
 def test_a_residual_that_is_constant_is_no_noise(nothing):
-    assert correlation(nothing) is None
+    assert found_in(nothing) is None
 
 
 def test_the_spectrum_of_noise_is_that_of_its_correlation():
@@ -89,7 +109,7 @@ def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
     assert found.recordings[0].noise['valve_position'] == pytest.approx(2e-7, rel=0.1)
     assert found.recordings[0].colour == {'valve_position': pytest.approx(0.8, abs=0.03)}
     p['valve_flexure_deadband'] = 60.0
-    assert with_coloured_noise(group, p) is group
+    assert math.sqrt(with_coloured_noise(group, p).error_floor['valve']) < 2.2e-7
 
 
 @pytest.mark.parametrize(('effect', 'verdict'), [
