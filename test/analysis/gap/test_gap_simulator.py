@@ -614,6 +614,7 @@ def groups_of(monkeypatch, valve, behind):
     monkeypatch.setattr(search, 'most_probable_of', lambda weighed: SimpleNamespace(
         fitted=SimpleNamespace(record=None)))
     monkeypatch.setattr(search, 'with_simulated_valve', lambda group, record, gain: group)
+    monkeypatch.setattr(search, 'with_noise_of_valve', lambda group, valve: group)
     monkeypatch.setattr(search, 'with_free_gain', lambda group: (group, None))   # it is certain
     return explained_by_simulator([SimpleNamespace(channels=('valve',)),
                                    SimpleNamespace(channels=CHANNELS)], lambda: None)
