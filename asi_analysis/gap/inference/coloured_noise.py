@@ -32,6 +32,8 @@ LOWEST = (0.0, 1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0)
 STRONGEST = 0.99   # correlation from sample to sample
 TAPERED = 0.1   # of the samples, at both ends together
 LAGS = 32   # samples of the command before, which noise does not follow
+NOT_WHITE = ('the noise of the {} is stronger than its fastest changes show: the correlation from '
+             'sample to sample is {:.2f}; it was found in what the model leaves')
 # The recorded signal of a channel, with its noise alone.
 SIGNALS = {'valve': 'valve_position', 'force': 'force', 'velocity': 'velocity',
            'position': 'position'}
@@ -185,9 +187,11 @@ def _samples(recordings: Sequence[Recording], channel: str, p: np.void) -> _Samp
     return _Samples(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def has_coloured_noise(group: Group) -> bool:
-    """Return whether noise that is not white was found in a group's recordings."""
-    return any(r.colour for r in group.recordings)
+def colours(group: Group) -> dict[str, float]:
+    """Return the correlation from sample to sample of noise that was found, by channel."""
+    return {channel: r.colour[name] for r in group.recordings
+            for channel, name in SIGNALS.items()
+            if channel in group.channels and name in r.colour}
 
 
 def with_noise_of_valve(group: Group, valve: Group) -> Group:

@@ -118,3 +118,4 @@ def test_coloured_noise_is_no_gap_and_hides_none(effect, verdict):
     found = diagnose([recorded(LINEAR | effect, 0.85)], LINEAR)
     assert '+'.join(found.verdict) == verdict
     assert marginals(found.joined)['unknown'] < 0.2
+    assert any('noise of the valve position' in note for note in found.notes)
