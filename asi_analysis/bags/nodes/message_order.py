@@ -125,6 +125,10 @@ class TickOrder:
         self._end = self._newest
         self._order = [stamp for stamp in self._order if stamp <= self._end]  # still a heap
 
+    def drop_held_back(self) -> None:
+        """End the recording with the last tick that was written: what waits is dropped."""
+        self._order, self._unplaced = [], []
+
     def missing_topics(self) -> set[int]:
         """Return the topics whose message is missing in a tick that is held back."""
         last = max(self._order, default=-1)

@@ -58,10 +58,15 @@ PARAMETERS: Final = ('output', 'configuration', 'topics')
 # Short enough that few messages wait, long enough that one wake-up takes many.
 DRAIN_PERIOD_S: Final = 0.01
 DISCOVERY_PERIOD_S: Final = 0.2
+# In lock-step at most so many messages of each topic are taken in one poll: behind a backlog of
+# seconds, on a busy machine, Ctrl-C and the answers of the nodes would wait.
+MOST_TAKEN: Final = 200
 # At the end: without a message for QUIET_S, none is in flight any more. LAST_TICK_S: longest wait
-# for a tick with a missing message, which DDS sends again within 50 ms.
+# for a tick with a missing message, which DDS sends again within 50 ms. BACKLOG_S: longest time to
+# take what has come until then, beside a loop that runs on.
 QUIET_S: Final = 0.05
 LAST_TICK_S: Final = 1.0
+BACKLOG_S: Final = 0.5
 # The time between two polls counts at most this much: while this process or the machine stands
 # still, no message can arrive, so none is late.
 LONGEST_POLL_S: Final = 2.0 * DRAIN_PERIOD_S
@@ -159,11 +164,13 @@ class Recorder(Node):
                 validate_topic_name(name)
                 self._unknown.append(self.resolve_topic_name(name))
         self._writer = BagWriter(Path(output))
+        typestore()   # now, as its first call takes longer than a tick
         if information:
             self._writer.add_information(information)
         # Time spent polling, s; its value at the first message of the loop.
         self._polled_s, self._first_s = 0.0, math.inf
         self._last_poll_s = time.monotonic()
+        self._taken_ns = 0   # when the last message that was taken was published
         self._arrived: list[Arrival] = []
         self._order: ReceiptOrder | TickOrder | None = None
         self._steady_clock = SteadyClock()
@@ -194,17 +201,24 @@ class Recorder(Node):
         Receive what was published before now: the recording ends here.
 
         In lock-step it ends with the tick that has begun; its missing messages are waited for as
-        long as their topics have publishers.
+        long as their topics have publishers. Beside a loop that runs on it ends earlier if this
+        machine is too busy to take all of them in time.
         """
         ended_ns = self._steady_clock.now_ns()
-        self._drain(ended_ns)
+        end_by_s = time.monotonic() + BACKLOG_S
+        while self._drain(ended_ns):
+            self._write()
+            if self._too_late(end_by_s):
+                self._end_early(ended_ns)
+                return
         self._write()
         if isinstance(self._order, TickOrder):
             self._order.end()
         moment_s = self._polled_s + QUIET_S
         end_s = self._polled_s + LAST_TICK_S
         while self._polled_s < end_s and (
-                self._polled_s < moment_s or self._answer_may_come()):
+                self._polled_s < moment_s
+                or (self._answer_may_come() and not self._too_late(end_by_s))):
             time.sleep(DRAIN_PERIOD_S)
             known = len(self._arrived)   # received, but not written before the first tick
             self._drain(ended_ns)
@@ -212,6 +226,20 @@ class Recorder(Node):
             if any(arrival.published_ns <= ended_ns for arrival in self._arrived[known:]):
                 moment_s = self._polled_s + QUIET_S
             self._write()
+
+    def _too_late(self, end_by_s: float) -> bool:
+        """Return whether the time is over, and the loop runs on: an actuator is still there."""
+        return time.monotonic() > end_by_s and any(
+            self.count_publishers(topic.name) for topic in self._topics
+            if topic.type == TOPICS['joint_states'].type)
+
+    def _end_early(self, ended_ns: int) -> None:
+        """End the recording with what has been taken, in lock-step with the last whole tick."""
+        if isinstance(self._order, TickOrder):
+            self._order.drop_held_back()
+        self.get_logger().warning(
+            f'the recording ends {(ended_ns - self._taken_ns) / 1e9:.2g} s before it was stopped: '
+            'this machine was too busy to record what came then')
 
     def _answer_may_come(self) -> bool:
         """Return whether a missing message of a tick has a publisher that may still send it."""
@@ -233,16 +261,24 @@ class Recorder(Node):
             self._fail(error)
             raise RunError('the recording has ended') from None
 
-    def _drain(self, until_ns: float = math.inf) -> None:
-        """Receive messages; of each topic, up to the first one published after `until_ns`."""
+    def _drain(self, until_ns: float = math.inf) -> bool:
+        """
+        Receive messages; of each topic, up to the first one published after `until_ns`.
+
+        Return whether there may be more: in lock-step at most MOST_TAKEN of each topic are taken.
+        In real time it is all of them, as they are put in the order of receipt.
+        """
         now_s = time.monotonic()
         self._polled_s += min(now_s - self._last_poll_s, LONGEST_POLL_S)
         self._last_poll_s = now_s
         # By how much the wall clock was set since the start; log times follow the steady clock.
         set_ns = time.time_ns() - self._steady_clock.now_ns()
+        most, more = MOST_TAKEN if isinstance(self._order, TickOrder) else sys.maxsize, False
         for index, topic in enumerate(self._topics):
             with topic.subscription.handle:
-                while (taken := topic.take()) is not None:
+                for _ in range(most):
+                    if (taken := topic.take()) is None:
+                        break
                     data, info = taken
                     published_ns = info['source_timestamp'] - set_ns
                     self._arrived.append(Arrival(
@@ -254,6 +290,10 @@ class Recorder(Node):
                         published_ns, data))
                     if published_ns > until_ns:
                         break
+                    self._taken_ns = published_ns
+                else:
+                    more = True
+        return more
 
     def _write(self, final: bool = False) -> None:
         """Write the messages whose order is known; all of them if `final`."""

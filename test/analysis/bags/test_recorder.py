@@ -315,6 +315,39 @@ def test_waits_for_no_answer_that_nobody_is_left_to_give(
     assert run.force_n is not None and len(run) > 50
 
 
+@pytest.mark.parametrize('runs_on', [True, False])
+def test_ctrl_c_behind_a_backlog_waits_for_what_ends_not_for_a_loop_that_runs_on(
+        start_node: Start, states: Listener, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capfd: pytest.CaptureFixture[str], runs_on: bool) -> None:
+    """As on a machine that is too busy; without time left for the backlog."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recorder_node, 'MOST_TAKEN', 10)
+    monkeypatch.setattr(recorder_node, 'BACKLOG_S', 0.0)
+    recorder = recorder_node.Recorder()
+    loop = [start_node(module, await_recorder=True, **options) for module, options in (
+        (CONTROLLER, {'reference.shape': 'sine'}), (ACTUATOR, {'real_time_factor': 0.1}))]
+    wait_until(lambda: recorder._record() or recorder._writer.counts().get('/force', 0) > 50,
+               'a part of the run')
+    states.wait(200)
+    if not runs_on:
+        assert [node.stop() for node in loop] == [0, 0]
+        wait_until(lambda: not recorder.count_publishers('joint_states'), 'the end of the loop')
+    recorder.destroy_node()
+    said = capfd.readouterr().err
+    assert ('s before it was stopped: this machine was too busy' in said) == runs_on
+    assert 'lost' not in said
+    bag, = (path for path in tmp_path.iterdir() if path.is_dir())
+    topics = read_contents(bag, lambda name: name != '/diagnostics').topics
+    times = topics['/force'].log_ns
+    assert times == [TICK_NS * (1 + tick) for tick in range(len(times))]
+    if runs_on:
+        assert {tuple(topic.log_ns) for topic in topics.values()} == {tuple(times)}
+        assert [node.stop() for node in loop] == [0, 0]
+    else:
+        newest = states.messages[-1].header.stamp
+        assert times[-1] == newest.sec * 10**9 + newest.nanosec
+
+
 def test_a_run_that_ends_waits_for_a_recorder_that_stands_still(
         start_node: Start, call: Call, tmp_path: Path) -> None:
     a_bag(tmp_path / 'bag', 5000, 1000.0)
