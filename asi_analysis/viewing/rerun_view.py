@@ -14,6 +14,7 @@ from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.viewing.scene import log_scene
+from asi_analysis.viewing.window import window
 from asi_common.files import replacing
 
 TIME: Final = 'time'
@@ -54,7 +55,9 @@ def view(run: Run, out: Path | None) -> str:
         rrb.TimePanel(state='collapsed'), rrb.SelectionPanel(state='hidden'),
         rrb.BlueprintPanel(state='hidden'))
     if out is None:
-        stream.spawn(default_blueprint=blueprint)
+        with window() as address:
+            stream.connect_grpc(address, default_blueprint=blueprint)
+            stream.disconnect()   # when all is sent
         return 'shown in the Rerun viewer'
     with replacing(out) as temporary:
         stream.save(temporary, default_blueprint=blueprint)

@@ -1,8 +1,12 @@
 """`asi view`: the file for Rerun holds every view, and Rerun's own command reads it."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +17,7 @@ import pytest
 import asi_analysis as asi
 from asi_analysis.bags.run import Run
 from asi_analysis.cli import main
+from asi_analysis.viewing import window
 
 RUN = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 0.4)
 
@@ -73,6 +78,48 @@ def test_signals_that_are_never_there_together_have_no_loop(tmp_path: Path) -> N
     assert 'plane/1/curve' not in entities(tmp_path / 'run.rrd')
     with pytest.raises(asi.InputError, match='none of its signals'):
         view(Run(RUN.time_s, force_n=np.full(len(RUN), np.nan)), tmp_path / 'none.rrd')
+
+
+@pytest.fixture
+def viewer(tmp_path: Path, monkeypatch: Any) -> Iterator[Path]:
+    """Have a viewer that opens no window; yield the file that gets what it is started with."""
+    started = tmp_path / 'started'
+    (tmp_path / 'rerun_cli').mkdir()
+    (tmp_path / 'rerun_cli/__main__.py').write_text(f"""import os, socket, sys, time
+open({str(started)!r}, 'w').write(' '.join([str(os.getpid()), *sys.argv[1:]]))
+server = socket.create_server(('127.0.0.1', int(sys.argv[-1])))
+if 'ends' in os.environ['DISPLAY']:
+    sys.exit('no graphics')
+time.sleep(60.0)
+""")
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=':')
+    monkeypatch.setenv('DISPLAY', ':0')
+    yield started
+    with suppress(FileNotFoundError, ProcessLookupError):
+        os.kill(int(started.read_text().split()[0]), signal.SIGKILL)
+
+
+def test_the_viewer_listens_on_this_machine_alone(viewer: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(window, 'SOON_S', 0.1)
+    with window.window() as address:
+        _, _, bind, option, port = viewer.read_text().split()
+    assert (bind, option) == ('127.0.0.1', '--port')
+    assert address == f'rerun+http://127.0.0.1:{port}/proxy'
+
+
+def test_a_viewer_that_cannot_show_anything_is_said(viewer: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(window, 'SOON_S', 100.0)
+    monkeypatch.setenv('DISPLAY', 'ends')
+    with pytest.raises(asi.InputError, match="does not run: 'no graphics'. asi view BAG --out"), \
+            window.window():
+        pass
+    viewer.unlink()
+    for name in ('DISPLAY', 'WAYLAND_DISPLAY'):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr('sys.platform', 'linux')
+    with pytest.raises(asi.InputError, match='no display'), window.window():
+        pass
+    assert not viewer.exists()
 
 
 def test_a_missing_library_is_said(monkeypatch: Any, capsys: Any) -> None:
