@@ -203,7 +203,8 @@ def _actions(session: Session) -> None:
     async def answered(question: str) -> None:
         busy.visible, answer.text = True, f'asking about the last {ASKED_S:g} s …'
         try:
-            answer.text = await ask(question, link.recent.run(ASKED_S), session.nominal)
+            answer.text = await ask(question, link.recent.run(ASKED_S), session.nominal,
+                                    lambda told: answer.set_text(f'{told} …'))
         except InputError as error:
             answer.text = str(error)
         busy.visible = False

@@ -1,9 +1,10 @@
 """What the live page starts: nodes, the recorder, and commands that answer a question."""
 
 import asyncio
+import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,8 @@ from asi_analysis.experiments.running import PATIENCE_S, end_with_parent, free_d
 from asi_common.executable import interrupt_later
 
 RUNS: Final = Path('runs')
+# What a command that computes says every 30 s (`asi_analysis.terminal`).
+PROGRESS: Final = re.compile(r'asi: (.*, after \d+ s)\s*')
 # As `ros2 run` starts them; they end quietly at any time.
 EXECUTABLES: Final = {'actuator': 'asi_actuator.executables',
                       'controller': 'asi_controller.executables',
@@ -48,12 +51,13 @@ class NodeProcess:
             self.process.wait()
 
 
-async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str:
+async def ask(question: str, run: Run | None, nominal: Mapping[str, Any],
+              tell: Callable[[str], object]) -> str:
     """
     Keep the last seconds as a bag, and return what `asi QUESTION BAG` says of it.
 
-    nominal: parameters by node, as the bag tells them to `asi gap`. Raises InputError without
-    anything to ask about.
+    nominal: parameters by node, as the bag tells them to `asi gap`; tell: gets what is being done
+    while it takes long. Raises InputError without anything to ask about.
     """
     if run is None:
         raise InputError('there is nothing to analyse yet: no message of joint_states has come')
@@ -67,9 +71,17 @@ async def ask(question: str, run: Run | None, nominal: Mapping[str, Any]) -> str
     process = await asyncio.create_subprocess_exec(
         sys.executable, '-m', 'asi_analysis.cli', question, str(bag), stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    said = ''
     try:
-        output, _ = await process.communicate()
+        assert process.stdout is not None
+        async for line in process.stdout:
+            text = line.decode(errors='replace')
+            if progress := PROGRESS.fullmatch(text):
+                tell(progress[1])
+            else:
+                said += text
+        await process.wait()
     except asyncio.CancelledError:   # the page's server ends
         process.kill()
         raise
-    return f'asi {question} {bag}\n\n{output.decode(errors="replace")}'
+    return f'asi {question} {bag}\n\n{said}'

@@ -23,11 +23,13 @@ from starlette.routing import WebSocketRoute
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+import asi_analysis as asi
 from asi_actuator.model.effects import EFFECT
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.viewing import page as live
+from asi_analysis.viewing import processes as started
 from asi_analysis.viewing.frames import Frames, curves
 from asi_analysis.viewing.recent import Recent, Taken, drawn
 from asi_analysis.viewing.session import Session
@@ -134,6 +136,22 @@ def test_a_user_turns_steps_records_and_asks_and_looks_for_what_is_hidden(
 
     use(work)
     use(search)
+
+
+def test_what_is_being_done_is_told_while_an_answer_takes_long_and_is_not_in_it(
+        tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = tmp_path / 'command'
+    command.write_text('#!/bin/sh\necho "asi: fitting effects, 9%, after 30 s"\n'
+                       'echo "asi: a note"\necho "stiction, $4"\n')
+    command.chmod(0o755)
+    monkeypatch.setattr(started, 'sys', SimpleNamespace(executable=str(command)))
+    told: list[str] = []
+    answer = asyncio.run(started.ask('gap', asi.simulate({}, {}, 0.1), {}, told.append))
+    assert told == ['fitting effects, 9%, after 30 s']
+    bag = answer.split()[2]
+    assert answer == f'asi gap {bag}\n\nasi: a note\nstiction, {bag}\n'
+    assert len(read_bag(bag)) > 0
 
 
 def test_a_slider_has_the_range_of_the_parameter() -> None:
