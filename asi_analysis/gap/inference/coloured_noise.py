@@ -24,6 +24,7 @@ from asi_analysis.gap.sampling import noise_spectrum
 # Of the power of coloured noise, which no effect may be named for: its spectrum in the band of the
 # excitation is extrapolated.
 UNSURE = 0.1
+LOUDER = 1.2   # times the estimated power: less is its uncertainty
 # Standard deviations by which what is tested of noise hardly ever differs from its mean; of the
 # cumulative periodogram, but for the first and the last EDGE frequencies.
 HARDLY_EVER, EDGE = 4.5, 10
@@ -140,13 +141,13 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
     noise, floor, recordings = dict(group.noise), dict(group.error_floor), list(group.recordings)
     for channel in SIGNALS.keys() & {*group.channels}:
         left = _mean_square(group, channel, p)
-        if left <= floor[channel]:
+        if left <= LOUDER * floor[channel]:
             continue
         found = noise_of_residual(*_samples(group.recordings, channel, p))
         if found is None:
             continue
         level = min(left, found.variance * _share_in_band(group, channel, found.correlation))
-        if level <= floor[channel]:
+        if level <= LOUDER * floor[channel]:
             continue
         noise[channel] = math.sqrt(noise[channel] ** 2 + (1.0 - UNSURE) * (level - floor[channel]))
         floor[channel] = level

@@ -143,12 +143,15 @@ def _nearest_to_nominal(found: Found, equal: Array) -> Found:
     """
     problem, slopes, nearest, halvings = found.problem, found.slopes, found, 0
     square, slope = slopes.T @ slopes, slopes.T @ found.best.residual
+    _, others = problem.split(slopes)   # the measured gain of the valve keeps its weight
+    own_square, own_slope = others.T @ others, others.T @ problem.split(found.best.residual)[1]
     mean, precision = problem.prior
     for halvings in range(HALVINGS):
         weight = 0.5 ** (halvings + 1)
         step, _ = least_step(
-            weight * square + np.diag(precision),
-            weight * slope + precision * (found.best.theta - mean),
+            weight * square + (1.0 - weight) * own_square + np.diag(precision),
+            weight * slope + (1.0 - weight) * own_slope
+            + precision * (found.best.theta - mean),
             -found.best.theta, 1.0 - found.best.theta)
         there = found.at(found.best.theta + step)
         if (mean_squares(problem, there.best.residual) > equal).any():
