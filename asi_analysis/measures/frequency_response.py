@@ -21,8 +21,6 @@ from asi_analysis.measures.step_response import Step, largest_step, step_respons
 from asi_analysis.reporting.result import Pictures, Result, Table, frame, number
 
 AVERAGED_LINES: Final = 9
-# A delay by more than this part of a turn over the averaged lines is taken out before.
-TURN: Final = 0.25
 # A line is used if its input power is at least this share of that of the strongest line,
 EXCITED: Final = 1e-4
 # this share of that of the strongest line within a NEARBY share of the spectrum (less between the
@@ -39,6 +37,10 @@ HALF_POWER: Final = np.sqrt(0.5)
 # A sine has at least this share of its power within so many lines of the strongest one.
 SINE: Final = 0.99
 SINE_LINES: Final = 3
+# A sine of fewer cycles may be a ramp or a staircase.
+FEWEST_CYCLES: Final = 0.6
+# An input rests at an end if it changes by less than this share of its range in that share of it.
+AT_REST: Final = 0.01
 # Samples that suffice to fit one of so few cycles.
 SINE_SAMPLES: Final = 2000
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
@@ -110,10 +112,29 @@ def _sine_share(values: Array, cycles: int) -> float:
     values = values[::-(-values.size // SINE_SAMPLES)]
     turn = 2.0 * np.pi * np.arange(values.size) / values.size
     left = []
-    for each in cycles + np.linspace(-1.0, 1.0, 41)[1:]:
+    tried = cycles + np.linspace(-1.0, 1.0, 41)[1:]
+    for each in tried[tried > FEWEST_CYCLES]:
         columns = np.column_stack([np.cos(each * turn), np.sin(each * turn), np.ones(turn.size)])
         left.append(np.std(values - columns @ np.linalg.lstsq(columns, values)[0]))
     return float(1.0 - (min(left) / max(np.std(values), 1e-300)) ** 2)
+
+
+def _rests(values: Array) -> bool:
+    """Return whether a signal of n samples hardly changes at its beginning and end."""
+    some = max(3, int(AT_REST * values.size))
+    return max(np.ptp(values[:some]), np.ptp(values[-some:])) < AT_REST * np.ptp(values)
+
+
+def _of_values(values: Array) -> Complex:
+    """Return the spectrum of a signal that repeats."""
+    return np.fft.rfft(values - values.mean())
+
+
+def _of_changes(values: Array) -> Complex:
+    """Return the spectrum of a signal that keeps its first and last value; 0 at frequency 0."""
+    changes = np.fft.rfft(np.diff(values, prepend=values[0]))
+    turns = np.arange(1, changes.size) / values.size
+    return np.append(0.0, changes[1:] / (1.0 - np.exp(-2j * np.pi * turns)))
 
 
 def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
@@ -128,13 +149,14 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
         return None
     x, y = (np.where(valid, v, np.interp(np.arange(v.size), np.flatnonzero(valid), v[valid]))
             for v in (input_, output))
-    # A long delay turns the phase over the averaged lines, so that their average vanishes: the
-    # output is taken back by it, and its phase is put back below.
-    late = round(correlation_delay(x, y, 1.0) or 0.0)
-    late = late if late * AVERAGED_LINES > TURN * x.size else 0
+    # A delay turns the phase over the averaged lines, and by whole turns between tones: the output
+    # is taken back by it, and its phase is put back below. A sine would lose its whole cycles.
+    late = 0 if is_sine(x) else max(round(correlation_delay(x, y, 1.0) or 0.0), 0)
     x, y = x[:x.size - late], y[late:]
-    u, v = (np.fft.rfft(each - each.mean()) for each in (x, y))
     frequency = np.fft.rfftfreq(x.size, period_s)
+    # A staircase does not end where it began: repeated, it has a step that has no delay.
+    spectrum = _of_changes if _rests(x) else _of_values
+    u, v = spectrum(x), spectrum(y)
     power, output_power, cross = (
         ndimage.uniform_filter1d(each, AVERAGED_LINES, mode='nearest')
         for each in (np.abs(u)**2, np.abs(v)**2, np.conj(u) * v))

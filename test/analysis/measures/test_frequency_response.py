@@ -178,3 +178,33 @@ def test_servohydraulic_press(current):
     assert 0.015 < found.delay_s < 0.03
     # The gain of a plain sine fit near the bandwidth, where the chirp passes it.
     assert 5.0 < found.bandwidth_hz < 10.0
+
+
+@pytest.mark.parametrize('shape', ['noise', 'chirp', 'tones'])
+@pytest.mark.parametrize('late', [6, 39])
+def test_the_delay_by_the_phase_is_that_of_the_signal(shape, late):
+    # By the slope of the phase alone it was 27 samples for 39, and 2.6 for 5.5.
+    rng = np.random.default_rng(late)
+    time = np.arange(4000) / 100.0
+    source = {'noise': signal.sosfiltfilt(signal.butter(3, 4.0, fs=100.0, output='sos'),
+                                          rng.standard_normal(time.size + late)),
+              'chirp': signal.chirp(np.arange(time.size + late) / 100.0, 0.03, 40.0, 1.5),
+              'tones': sum(np.sin(2.0 * np.pi * hz * np.arange(time.size + late) / 100.0 + hz)
+                           for hz in (0.15, 0.4, 0.9, 3.1))}[shape]
+    output = source[:time.size] + 0.01 * source.std() * rng.standard_normal(time.size)
+    found = estimate(source[late:], output, 0.01)
+    assert 100.0 * found.delay_s == pytest.approx(late, abs=1.0)
+
+
+@pytest.mark.parametrize('steps', [5, 8, 14])
+def test_a_staircase_that_only_rises_is_no_sine_and_has_its_delay(steps):
+    # It was "a single sine of 0.05 Hz", or had a delay of a thousandth of its own.
+    reference = np.floor(np.arange(4200) * steps / 4200.0) / steps
+    noise = np.random.default_rng(steps).standard_normal(4200)
+    run = Run(np.arange(4200) / 50.0, reference_n=reference,
+              position_m=np.concatenate([np.zeros(60), reference[:-60]]) + 0.001 * noise,
+              information={'signals': {'reference': 'm'}})
+    found = loop_bandwidth(run)
+    assert found.method == 'excitation'
+    assert 50.0 * found.delay_s == pytest.approx(60.0, abs=1.2)
+    assert 50.0 * found.correlation_delay_s == pytest.approx(60.0, abs=1.2)
