@@ -22,6 +22,8 @@ from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # Largest share of missing samples for a spectrum or the fit of a sine.
 LOST_SHARE: Final = 0.01
+DRIVEN: Final = ('oscillation: no reference is recorded, so this may be what moved it from outside; '
+                 'asi limit-cycle asks that')
 
 
 class Analysis(Result):
@@ -91,6 +93,8 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
              f'{change.reason}' for change in run.states if change.state == 'fault']
     notes += step.notes
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
+    if swing.frequency_hz and run.reference_n is None:
+        notes.append(DRIVEN)
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
     figures = (_bandwidth(run, width, name) | tracking(run, name)._asdict()
                | {'oscillation': swing.to_dict()})
@@ -230,4 +234,5 @@ def in_words(swing: Mapping[str, Any], unit: str = 'N') -> str:
     if swing['frequency_hz'] is None:
         return 'none' if swing['sustained'] is False else 'cannot be told'
     course = {True: 'sustained', False: 'dying out', None: 'in bursts'}[swing['sustained']]
-    return f'{swing["frequency_hz"]:.1f} Hz, {swing["amplitude_n"]:.3g} {unit}, {course}'
+    digits = '.1f' if swing['frequency_hz'] >= 1.0 else '.3g'
+    return f'{swing["frequency_hz"]:{digits}} Hz, {swing["amplitude_n"]:.3g} {unit}, {course}'

@@ -96,7 +96,8 @@ def findings(run: Run) -> list[Finding]:
     found += [Finding('reading', 'time', NOTE, whole, text) for text in run.problems]
     found += _of_import(run)
     found += unrecorded(run)
-    if run.reference_n is not None and not USUAL_HZ[0] < run.rate_hz < USUAL_HZ[1]:
+    dates = run.information.get('imported', {}).get('dates') is True    # their unit is known
+    if run.reference_n is not None and not dates and not USUAL_HZ[0] < run.rate_hz < USUAL_HZ[1]:
         found.append(Finding('slow', 'time', DOUBTFUL, whole,
                              f'the samples of this control loop are {run.period_s:.4g} s apart: '
                              'is the unit of time, or the rate, right?'))

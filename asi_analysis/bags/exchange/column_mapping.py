@@ -33,6 +33,7 @@ _TERM: Final = re.compile(
 
 # Scales that read an unsigned number as the signed one with the same bits, as registers hold it.
 SIGNED: Final = {'int16': 2.0 ** 16, 'int32': 2.0 ** 32}
+DATE: Final = 'date'     # in place of the unit of a time that needs none
 LEAST_WRAPPED: Final = 5    # samples near 0 and near the end of the range
 
 
@@ -102,7 +103,7 @@ def column_part(mapping: Assignment) -> str:
 
 
 def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]:
-    """Return the values of a mapping in SI units, and the unit. Raises InputError."""
+    """Return the values of a mapping in SI units, and the unit, or DATE. Raises InputError."""
     term, scale, offset = column_of(mapping, table), 1.0, 0.0
     if term is None:
         raise InputError(f'{path}: {mapping.text!r} names no column; there are '
@@ -119,7 +120,7 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         if mapping.unit != 's' or scale != 1.0:
             raise InputError(f'{path}: {mapping.text!r}: {term} holds dates or durations, which '
                              'have their unit: leave scale and unit out')
-        return seconds, 's'
+        return seconds, DATE
     values = numbers_of(term, table[term], path)
     if span:
         values = (values + 0.5 * span) % span - 0.5 * span

@@ -14,6 +14,7 @@ from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
+    DATE,
     Assignment,
     evaluate,
     listed,
@@ -220,8 +221,10 @@ def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz:
         raise InputError(f'zero = {zero_s:g} s is not allowed: it takes 0 or more')
     path = paths[0]
     _check_reference(signals, texts, path)
+    _check_turning(signals, texts, path)
     length = len(next(iter(signals.values()))[0])
-    time_s = _time(signals.pop('time', None), length, rate_hz, path)
+    mapped = signals.pop('time', None)
+    time_s = _time(mapped, length, rate_hz, path)
     repeated = _repeated(time_s, [column for column, _ in signals.values()], path)
     valid = _usable(time_s, path)
     time_s = time_s[valid]
@@ -230,6 +233,8 @@ def _run(signals: Signals, texts: Sequence[str], paths: Sequence[Path], rate_hz:
               for name, (column, _) in signals.items()}
     information: dict[str, Any] = {'imported': {
         'file': ', '.join(each.name for each in paths), 'mapping': texts, 'zero_s': zero_s}}
+    if mapped is not None and mapped[1] == DATE:
+        information['imported']['dates'] = True
     if left_out := sorted({*repeated.tolist(), *earlier.get('repeated_times_s', ())}):
         information['imported']['repeated_times_s'] = left_out
     usual = {signal.name: signal.unit for signal in SIGNALS}
@@ -248,6 +253,19 @@ def _check_reference(signals: Signals, texts: Sequence[str], path: Path) -> None
         unit = signals[others[0]][1]
         raise InputError(f'{path}: {text!r} has no unit, and would be a force in N, which is not '
                          f'mapped: write {text}[{unit}] if it is that of the {others[0]}')
+
+
+def _check_turning(signals: Signals, texts: Sequence[str], path: Path) -> None:
+    """Warn of a motion without a unit, which is taken in m, beside a torque or an angle."""
+    turning = [name for name, (_, unit) in signals.items() if unit in ('Nm', 'rad', 'rad/s')]
+    for text in texts:
+        name = text.partition('=')[0].strip()
+        if turning and name in ('position', 'velocity') and name in signals and (
+                signals[name][1] in ('m', 'm/s') and not text.rstrip().endswith(']')):
+            unit = {'m': 'rad', 'm/s': 'rad/s'}[signals[name][1]]
+            warnings.warn(f'{path}: {text!r} has no unit and is taken in {signals[name][1]}, '
+                          f'beside {signals[turning[0]][1]} of the {turning[0]}: write '
+                          f'{text}[{unit}] if the joint turns', InputWarning, stacklevel=2)
 
 
 def _evaluated(mappings: Sequence[Assignment], table: Table, path: Path

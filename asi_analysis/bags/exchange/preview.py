@@ -11,13 +11,14 @@ import numpy as np
 from asi_analysis.arrays import Array
 from asi_analysis.bags.bag_file import read_contents
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
-from asi_analysis.bags.exchange.column_mapping import UNITS_OF, numbers_of
+from asi_analysis.bags.exchange.column_mapping import UNITS_OF, listed, numbers_of
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.lerobot import is_dataset, notes_of, refuse_episode
 from asi_analysis.bags.exchange.ros1_bag import opened
 from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
 from asi_analysis.bags.exchange.units import UNITS, conversion
+from asi_analysis.bags.run import usual_step
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Result, table_of
 from asi_analysis.reporting.result import Table as Printed
@@ -32,7 +33,7 @@ WORDS: Final[dict[str, frozenset[str]]] = {signal: frozenset(words.split()) for 
     'velocity': 'vel velocity speed dq qd qdot omega rpm',
     'pressure': 'pressure press p',
     'position': 'pos position angle q qm x displacement disp stroke encoder enc theta '
-                'extension'}.items()}
+                'extension pv'}.items()}
 VALVE: Final = frozenset(('valve', 'spool'))
 # Assumed unit of each signal without one.
 ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'velocity': 'm/s',
@@ -43,6 +44,10 @@ OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
 STATE: Final = 'observation.state'
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
+# What stands in brackets after a name, and is a unit unless it is one of these words.
+BRACKETS: Final = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$')
+REMARKS: Final = frozenset('measured actual filtered meas act raw est estimated calc true left '
+                           'right desired joint motor load axis'.split())
 # Words that suggest a rotary joint.
 TURNS: Final = frozenset('angle q theta joint torque tau moment'.split())
 # Message types of which a preview is made; the columns of any other can be mapped too.
@@ -109,6 +114,9 @@ def preview(path: str | Path, rate_hz: float | None = None, *, skip_lines: int =
              and since_first(name, table[name], path) is not None}
     longest = max(map(len, values.values()))
     guesses = {name: _guess(name) for name, column in values.items() if len(column) == longest}
+    notes += [f'{name}: no signal has the unit {unit}: give a scale to one that a signal has, or '
+              f'let a signal stand for it, as in position={name}'
+              for name in values if (unit := _unknown_unit(name))]
     time: str | None = None
     time_s: Array | None = None
     if is_bag(path):    # it has its own times
@@ -157,11 +165,12 @@ def _words(name: str) -> list[str]:
 
 def _unit(name: str) -> str:
     """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' without one."""
-    found = re.search(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$', name)
+    found = BRACKETS.search(name)
     candidates = [found[1]] if found else []
     head, _, last = name.replace(' ', '_').rpartition('_')
     candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
     candidates += [last] if head or last in WHOLE else []
+    candidates += [last] if (last := name.rpartition('.')[2]) in WHOLE else []
     by_case = {unit.lower(): unit for unit in UNITS}
     for each in candidates:
         if each in UNITS or (found and conversion(each)):
@@ -171,9 +180,18 @@ def _unit(name: str) -> str:
     return ''
 
 
+def _unknown_unit(name: str) -> str:
+    """Return the unit that stands in brackets after a name, if no signal can have it."""
+    found = BRACKETS.search(name)
+    unknown = found is not None and not _unit(name) and not REMARKS & set(_words(found[1]))
+    return found[1] if found and unknown and re.search(r'[^\W\d]', found[1]) else ''
+
+
 def _guess(name: str) -> _Guess | None:
     """Return a guess of the signal in a column, from its name; None without one."""
     unit = _unit(name)
+    if _unknown_unit(name):
+        return None
     if name.startswith('/'):
         name = re.sub('/[xyz]$', '', name)
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')
@@ -188,14 +206,18 @@ def _guess(name: str) -> _Guess | None:
         signals = ['reference', *motion]
     si = (conversion(unit) or ('',))[0]
     if unit and signals and not any(si in UNITS_OF[signal] for signal in signals):
-        # In tau_m the m means measured, in u_in the in means input.
-        signals, unit = (signals, '') if unit in ('m', 'in') else ([], unit)
+        # In tau_m the m means measured, in u_in the in means input, in p_A the A a port. A share
+        # of the range of a process is no length: one stands for it.
+        other = unit in ('m', 'in') or (unit == 'A' and 'pressure' in signals) or (
+            si == '1' and signals[0] in ('position', 'reference'))
+        signals, unit = (signals, '') if other else ([], unit)
     if signals:
         signal = next(each for each in signals if not unit or si in UNITS_OF[each])
         matched = next((word for word in words if word in WORDS.get(signal, VALVE)), words[0])
         return _Guess(signal, unit, f'named {matched}' + (f', in {unit}' if unit else ''))
-    by_unit = [signal for signal in ('time', 'position', 'velocity', 'force', 'pressure')
-               if si in UNITS_OF[signal]]
+    by_unit = [signal for signal in (
+        'time', 'position', 'velocity', 'force', 'pressure', 'command')
+               if si in UNITS_OF[signal] and si not in ('1', 'V')]   # V: a sensor
     return _Guess(by_unit[0], unit, f'in {unit}') if unit and by_unit else None
 
 
@@ -257,7 +279,7 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             others.setdefault(f'the {guess.signal} as well as {taken}', []).append(name)
             continue
         chosen[name] = guess
-    notes += [f'{", ".join(names)} may be {what}' for what, names in others.items()]
+    notes += [f'{listed(names)} may be {what}' for what, names in others.items()]
     if any(map(_is_of_joint, chosen)):
         notes.append('a joint state has no units: those of a rotary joint are assumed')
     kinds = [(conversion(each.unit) or ('',))[0] for each in chosen.values() if each.unit]
@@ -275,7 +297,9 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             named = [each for each in OUTPUTS if WORDS[each] & set(_words(name))] or OUTPUTS
             unit = next((chosen[other].unit or ASSUMED[chosen[other].signal] for other in chosen
                          if chosen[other].signal in named), unit or 'N')
-        notes.append(f'{name} has no unit: {unit} is assumed')
+        share = conversion(_unit(name)) == ('1', 0.01)
+        notes.append(f'{name} is in %, which no {guess.signal} has: {unit} stands for it' if share
+                     else f'{name} has no unit: {unit} is assumed')
         chosen[name] = guess._replace(unit=unit)
     return chosen
 
@@ -295,7 +319,7 @@ def _times(time_s: Array | None, rate_hz: float | None, samples: int) -> dict[st
         return {'rate_hz': rate_hz, 'duration_s': samples / rate_hz if rate_hz else None,
                 'gaps': 0, 'longest_gap_s': None}
     steps = np.diff(time_s[np.isfinite(time_s)])
-    usual = float(np.median(steps))
+    usual = usual_step(time_s[np.isfinite(time_s)])
     gaps = steps[steps > GAP * usual]
     return {'rate_hz': 1.0 / usual if usual > 0.0 else None, 'duration_s': float(steps.sum()),
             'gaps': len(gaps), 'longest_gap_s': float(gaps.max()) if len(gaps) else None}
@@ -318,7 +342,8 @@ def _bag_columns(path: Path) -> Table:
     if not topics:
         raise InputError(f'{path}: no topic of the types {", ".join(PREVIEWED)}; it has '
                          + ', '.join(f'{topic} ({type_})' for topic, type_ in types.items()))
-    return read_bag_table(path, [f'{topic}/' for topic in topics])[0]
+    table = read_bag_table(path, [f'{topic}/' for topic in topics])[0]
+    return {name: column for name, column in table.items() if '/layout/' not in name}
 
 
 def message_types(path: Path) -> dict[str, str]:

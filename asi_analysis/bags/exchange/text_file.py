@@ -34,6 +34,8 @@ TEXT: Final = getattr(np.dtypes, 'StringDType', lambda: np.dtype(object))()
 SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
 SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
                     'G': 1e9}
+# A list in a cell: [1, 2], (1; 2), [1 2] of numpy, or array('d', [1, 2]) of a ROS message.
+_LIST: Final = re.compile(r"(?:\w+\((?:'\w', *)?)?[\[(]([^\[\]()]*)[\])](?:, *\w+=[\w.]+)?\)?")
 _DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
 
 codecs.register_error('windows-1252', lambda error: (   # the encoding of older programs
@@ -72,7 +74,7 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
     """
     Return the columns of a text file by name: floats, or texts if a cell is no number.
 
-    A missing cell of a column of floats is NaN. Raises InputError, csv.Error, OSError, EOFError.
+    A missing cell of a column of floats is NaN. The elements of lists are columns name#1, name#2. Raises InputError, csv.Error, OSError, EOFError.
     """
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
@@ -98,7 +100,15 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
         found = _columns(data, list(columns), path)
     names = [name if name not in columns[:number] else f'{name}#{columns[:number].count(name) + 1}'
              for number, name in enumerate(columns)]
-    return dict(zip(names, found, strict=True))
+    return dict(chain.from_iterable(map(_of_lists, names, found)))
+
+
+def _of_lists(name: str, column: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
+    """Yield a column, or the columns name#1, name#2 ... of one of lists."""
+    if column.ndim == 1:
+        yield name, column
+    else:
+        yield from ((f'{name}#{number}', each) for number, each in enumerate(column.T, 1))
 
 
 def is_number(cell: str) -> bool:
@@ -108,6 +118,24 @@ def is_number(cell: str) -> bool:
     except ValueError:
         return SI_NUMBER.fullmatch(cell) is not None
     return True
+
+
+def numbers_in(cell: str) -> int:
+    """Return how many numbers a cell holds: of a list its elements."""
+    elements = _elements(cell)
+    return int(is_number(cell)) if elements is None else len(elements)
+
+
+def _elements(cell: str) -> list[float] | None:
+    """Return the numbers of a list in a cell; None if it holds no list of numbers."""
+    found = _LIST.fullmatch(cell) if cell[-1:] in tuple('])') else None
+    if found is None:
+        return None
+    try:
+        return [float('nan' if each.lower() in MISSING else each)
+                for each in re.split(r'\s*[,;]\s*|\s+', found[1].strip()) if found[1].strip()]
+    except ValueError:
+        return None
 
 
 def lines_of(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str]:
@@ -132,12 +160,13 @@ def _columns(rows: Iterable[list[str]], names: list[str], path: Path) -> list[np
         for number, row in enumerate(block, count + 1):
             if len(row) != len(names):
                 _fit(row, number, len(names), path)
+        for name, part, cells in zip(names, parts, zip(*block, strict=True), strict=True):
+            part.append(_as_array(cells, f'{path}: column {name}', count))
         count += len(block)
-        for part, cells in zip(parts, zip(*block, strict=True), strict=True):
-            part.append(_as_array(cells))
     if not count:
         raise InputError(f'{path} has no rows')
-    return [_joined(part) for part in parts]
+    return [_joined(part, f'{path}: column {name}')
+            for name, part in zip(names, parts, strict=True)]
 
 
 def _fit(row: list[str], number: int, width: int, path: Path) -> None:
@@ -155,20 +184,44 @@ def _fit(row: list[str], number: int, width: int, path: Path) -> None:
     row[:] = [*row, ''][:width]
 
 
-def _as_array(cells: Sequence[str]) -> npt.NDArray:
-    """Return cells as floats, NaN for a missing one; as texts if a cell is no number."""
+def _as_array(cells: Sequence[str], what: str, before: int) -> npt.NDArray:
+    """
+    Return cells as floats, NaN for a missing one, of lists a row each; as texts if one is neither.
+
+    what: the column, before: its rows before these cells, for the message of an InputError.
+    """
     try:
         return np.array(cells, float)
     except ValueError:
-        try:
-            return np.array(['nan' if cell.lower() in MISSING else cell for cell in cells], float)
-        except ValueError:
-            return np.array(cells, TEXT)
+        pass
+    known = ['nan' if cell.lower() in MISSING else cell for cell in cells]
+    try:
+        return np.array(known, float)
+    except ValueError:
+        lists = [[] if cell == 'nan' else _elements(cell) for cell in known]
+    width = len(next(filter(None, lists), []))
+    if not width or any(each is None for each in lists):
+        return np.array(cells, TEXT)
+    for row, each in enumerate(lists, before + 1):
+        if each and len(each) != width:
+            raise InputError(f'{what}, row {row}: the list has {len(each)} numbers, the first has '
+                             f'{width}')
+    return np.array([each or [np.nan] * width for each in lists])
 
 
-def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
+def _joined(parts: list[npt.NDArray], what: str) -> npt.NDArray:
     """Return the blocks of a column as one array; empties `parts` to free their memory."""
-    if any(part.dtype != float for part in parts):
+    listed = {part.shape[1:] for part in parts if part.dtype == float and (
+        part.ndim == 2 or not np.isnan(part).all())}
+    if len(listed) > 1 or (listed and listed != {()} and any(part.dtype != float
+                                                            for part in parts)):
+        raise InputError(f'{what} has lists in some rows, and other cells or lists of another '
+                         'length in others')
+    if listed and listed != {()}:
+        shape = next(iter(listed))
+        parts[:] = [part if part.ndim == 2 else np.full((len(part), *shape), np.nan)
+                    for part in parts]
+    elif any(part.dtype != float for part in parts):
         parts[:] = [part.astype(TEXT) for part in parts]
     column = np.concatenate(parts)
     parts.clear()
@@ -177,15 +230,15 @@ def _joined(parts: list[npt.NDArray]) -> npt.NDArray:
 
 def _delimiter(line: str) -> str:
     """Return the delimiter that splits a row of data into most numbers."""
-    return max('\t;, ', key=lambda mark: sum(map(is_number, next(_cells([line], mark), []))))
+    return max('\t;, ', key=lambda mark: sum(map(numbers_in, next(_cells([line], mark), []))))
 
 
 def _first_of_data(rows: list[list[str]]) -> int:
     """Return the index of the first row with the form of a row in the middle of the file."""
     usual = rows[len(rows) // 2]
-    fewest = 0.5 * sum(map(is_number, usual))
+    fewest = 0.5 * sum(map(bool, map(numbers_in, usual)))
     return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
-                 and sum(map(is_number, row)) > fewest), len(rows))
+                 and sum(map(bool, map(numbers_in, row))) > fewest), len(rows))
 
 
 def _header(before: list[str], delimiter: str, width: int) -> list[str]:
@@ -206,7 +259,8 @@ def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
     if delimiter in ' ,':   # Matlab ends rows with a semicolon
         lines = (line.rstrip(' ;\r\n') for line in lines)
     if delimiter != ',':
-        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line else line for line in lines)
+        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line and '[' not in line else line
+                 for line in lines)     # not in lists
     if delimiter == ' ':
         return (line.split() for line in lines)
     reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)

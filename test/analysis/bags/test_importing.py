@@ -230,6 +230,53 @@ def test_numbers_of_labview_and_durations(tmp_path: Path) -> None:
     assert timed.time_s.tolist() == [0.0, 0.5]
 
 
+@pytest.mark.parametrize('row', [
+    '{0:.3f},"[{1}, {2:.3f}]"', '{0:.3f};[{1},{2:.3f}]', '{0:.3f},[{1} {2:.3f}]',
+    """{0:.3f},"array('d', [{1}, {2:.3f}])\"""", '{0:.3f}\t({1}; {2:.3f})'])
+def test_lists_in_the_cells_of_a_text_are_columns(tmp_path: Path, row: str) -> None:
+    path = tmp_path / 'log.csv'
+    mark = next(each for each in ';\t,' if each in row.partition('[')[0].partition('(')[0])
+    lines = [row.format(0.1 * k, k, 0.5 * k) for k in range(25_000)]
+    lines[3] = f'0.300{mark}'
+    path.write_text('\n'.join([f't{mark}q', *lines]))
+    run = import_recording(path, ['time=t', 'position=q#2[rad]', 'reference=q#1[rad]'])
+    assert run.position_m is not None and run.reference_n is not None
+    assert np.isnan(run.position_m[3]) and run.position_m[24_999] == 12499.5
+    assert run.reference_n[24_999] == 24_999.0
+    lines[21_000] = f'2100.0{mark}' + row.format(0, 7, 8.0).partition(mark)[2].replace('7', '1')
+    lines[21_001] = f'2100.1{mark}"[1, 2, 3]"' if mark == ',' else f'2100.1{mark}[1, 2, 3]'
+    path.write_text('\n'.join([f't{mark}q', *lines]))
+    with pytest.raises(InputError, match='row 21002: the list has 3 numbers, the first has 2'):
+        import_recording(path, ['time=t', 'position=q#2[rad]'])
+
+
+@pytest.mark.parametrize(('unit', 'scale'), [('ms', 1e3), ('us', 1e6), ('ns', 1e9)])
+def test_the_rate_of_times_since_1970(tmp_path: Path, unit: str, scale: float) -> None:
+    # It was 1000.07 Hz, since 1.7e9 s is only known to 0.24 us.
+    path = tmp_path / 'log.csv'
+    path.write_text('t,q\n' + '\n'.join(
+        f'{int(1_700_000_000 * scale) + int(k * scale / 1000)},{k}' for k in range(2000)))
+    assert import_recording(path, [f'time=t[{unit}]', 'position=q']).rate_hz == pytest.approx(
+        1000.0, rel=1e-7)
+
+
+def test_a_motion_without_a_unit_beside_a_torque_is_remarked(tmp_path: Path) -> None:
+    path = tmp_path / 'log.csv'
+    path.write_text('t,q,tau\n' + '\n'.join(f'{0.1 * k},{k % 5},{k % 3}' for k in range(50)))
+    with pytest.warns(InputWarning, match="'position=q' has no unit and is taken in m, beside Nm"):
+        import_recording(path, ['time=t', 'position=q', 'command=tau[Nm]'])
+
+
+def test_the_rate_of_a_process_with_dates_is_not_doubted(tmp_path: Path) -> None:
+    path = tmp_path / 'log.csv'
+    path.write_text('t,sp,pv\n' + '\n'.join(
+        f'2024-06-03 09:{k // 60:02d}:{k % 60:02d},50,{50 + k % 7}' for k in range(600)))
+    run = import_recording(path, ['time=t', 'reference=sp[m]', 'position=pv'],
+                           out=tmp_path / 'bag')
+    for each in (run, read_bag(tmp_path / 'bag')):
+        assert not [found for found in findings(each) if found.kind == 'slow']
+
+
 def test_zero_takes_off_the_start(tmp_path: Path) -> None:
     file = tmp_path / 'a.tsv'
     file.write_text('\n'.join(f'{3 + (k > 4)}\t{k}' for k in range(10)))

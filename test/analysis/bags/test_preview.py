@@ -45,6 +45,11 @@ def table(path: Path, header: str, *columns: np.ndarray) -> Path:
                              'force=force[N]']),
     ('time_s,valve_position_m,position_m,spool_pos_mm', [
         'time=time_s[s]', 'valve_position=valve_position_m[m]', 'position=position_m[m]']),
+    ('t_s,i_q_A,theta [mdeg],note', ['time=t_s[s]', 'command=i_q_A[A]',
+                                     'position=theta [mdeg][mdeg]']),
+    ('t_s,I (mA),p_A,note', ['time=t_s[s]', 'command=I (mA)[mA]', 'pressure=p_A[Pa]']),
+    ('t_s,SP %,PV %,OP %', ['time=t_s[s]', 'reference=SP %[m]', 'position=PV %[m]',
+                            'command=OP %[%]']),
     ('t_s,q_deg,tau_m,note', ['time=t_s[s]', 'position=q_deg[deg]', 'force=tau_m[Nm]']),
 ])
 def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
@@ -52,6 +57,21 @@ def test_the_names_and_units_of_the_columns_are_read(tmp_path, header, mapping):
     assert found.mapping == mapping
     assert [each['name'] for each in found.columns if each['signal']] == [
         each.partition('=')[2].rpartition('[')[0] for each in mapping]
+
+
+def test_a_unit_that_no_signal_has_is_not_taken_for_another(tmp_path):
+    # "Q (l/min) has no unit: rad is assumed", it said.
+    found = preview(table(tmp_path / 'log.csv', 't_s,Q (l/min),x (raw)', *np.ones((3, 200)) * T))
+    assert found.mapping == ['time=t_s[s]', 'position=x (raw)[m]']
+    assert 'no signal has the unit l/min' in found.notes[0]
+
+
+def test_elements_of_lists_and_of_objects_are_previewed(tmp_path):
+    path = tmp_path / 'log.jsonl'
+    path.write_text('\n'.join(f'{{"ts_ms": {k}, "goal_deg": 1, "present": {{"deg": {k % 7}}}}}'
+                              for k in range(50)))
+    assert preview(path).mapping == ['time=ts_ms[ms]', 'reference=goal_deg[deg]',
+                                     'position=present.deg[deg]']
 
 
 def test_what_is_assumed_is_said_and_gaps_are_counted(tmp_path):

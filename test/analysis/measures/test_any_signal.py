@@ -87,3 +87,12 @@ def test_a_pressure_is_imported_and_judged(tmp_path):
     assert segment.amplitude == pytest.approx(5e5, rel=0.01)
     write_bag(run, tmp_path / 'again')
     assert np.array_equal(read_bag(tmp_path / 'again').pressure_pa, run.pressure_pa)
+
+
+def test_a_slow_oscillation_has_its_frequency_and_a_drive_is_not_ruled_out():
+    # It was "0.0 Hz, 1 m, sustained", without a word on what may have driven it.
+    t = np.arange(3000.0)
+    noise = np.random.default_rng(2).standard_normal(t.size)
+    found = analyze(Run(t, position_m=np.sin(2.0 * np.pi * 0.0123 * t) + 0.01 * noise))
+    assert '0.0123 Hz' in str(found)
+    assert any('no reference is recorded' in note for note in found.notes)
