@@ -22,8 +22,8 @@ from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # Largest share of missing samples for a spectrum or the fit of a sine.
 LOST_SHARE: Final = 0.01
-DRIVEN: Final = ('oscillation: no reference is recorded, so this may be what moved it from outside; '
-                 'asi limit-cycle asks that')
+DRIVEN: Final = ('oscillation: no reference is recorded, so this may be what moved it from '
+                 'outside; asi limit-cycle asks that')
 
 
 class Analysis(Result):

@@ -74,7 +74,8 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
     """
     Return the columns of a text file by name: floats, or texts if a cell is no number.
 
-    A missing cell of a column of floats is NaN. The elements of lists are columns name#1, name#2. Raises InputError, csv.Error, OSError, EOFError.
+    A missing cell of a column of floats is NaN. The elements of lists are columns name#1, name#2.
+    Raises InputError, csv.Error, OSError, EOFError.
     """
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')

@@ -191,19 +191,25 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
     for weighed in diagnosis.groups if diagnosis.plant == 'joint' else ():
         channel, run = weighed.group.channels[0], diagnosis.runs[0]
         if channel == 'load':
+            turns = unit_of('m', 'load', run, 'joint') == 'rad'
             p = diagnosis.best(weighed).fitted.record
             notes.append('nominal joint: ' + ', '.join(
                 f'{words} {digits(p[field], unit_of(UNITS[field], channel, run, "joint"))} '
                 f'({origin if DOTTED[field] in values or diagnosis.healthy else "identified"})'
-                for field, words in (('load_mass', 'mass'), ('load_damping', 'viscous friction'))
-                ) + ('' if diagnosis.healthy else _gravity(
+                for field, words in (
+                    ('load_mass', 'inertia' if turns else 'mass'),
+                    ('load_damping', 'viscous friction'),
+                    *[('load_stiffness', 'spring')] * bool(p['load_stiffness']))
+                ).replace('Nm s2/rad', 'kg m2') + ('' if diagnosis.healthy else _gravity(
                     weighed.group.recordings[0], p, run,
                     origin if {'gravity.sine', 'gravity.cosine'} & values.keys() else
                     'identified'))
                 + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
-            how = 'at once' if p['valve_flexure_model'] != FULL else (
+            limited = 'acceleration' in weighed.group.recordings[0].taken
+            how = 'as a servo with limits, told below' if limited else 'at once' if (
+                p['valve_flexure_model'] != FULL) else (
                 f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}'
                 f', damping ratio {digits(p["valve_flexure_damping_ratio"])}')
             notes.append(f'nominal drive: the {signal_of(channel, run, "joint")} follows the '

@@ -41,8 +41,8 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[], tuple[Sequence
         return weighed, []
     what = ('the servo is of second order' if servo else 'the joint has gravity'
             if 'gravity_sine' in best.fitted.values else 'the joint is held by a spring')
-    return [*weighed[:-1], refitted], [f'{what}, which shows beside an effect only: it leaves '
-                                       f'{100.0 * share:.2g} % of what that leaves without']
+    return [*weighed[:-1], refitted], [f'{what}, which shows beside an effect only: with it that '
+                                       f'leaves {100.0 * share:.2g} % of the power of the error']
 
 
 def _best(weighed: Weighed) -> Candidate:

@@ -38,7 +38,7 @@ class ByPosition(NamedTuple):
     Forces that depend on a joint's position: gravity sine sin q + cosine cos q (N m), a spring.
 
     given: the stiffness (N/m or N m/rad) was given; residual_share: residual power with them, as
-    a share of that without; ambiguous: another choice fits about as well.
+    a share of that without; ambiguous: a spring alone fits about as well.
     """
 
     sine: float = 0.0
@@ -119,15 +119,15 @@ def by_position(recordings: Sequence[Recording], runs: Sequence[Run],
     spring = stiffness or (values['spring'] if SPRING[0] in close[0] else 0.0)
     sine, cosine = (values.get(name, 0.0) for name in GRAVITY_SHAPES)
     share = residual / without if close[0] else 1.0
-    return ByPosition(sine, cosine, spring, not unknown, share, len(close) > 1)
+    return ByPosition(sine, cosine, spring, not unknown, share, SPRING in close)
 
 
 def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByPosition
                     ) -> tuple[list[Recording], list[str]]:
     """Return recordings of a joint without its gravity, and notes of that and of a spring."""
-    leaves = (f'leaves {100.0 * found.residual_share:.2g} % of what inertia, damping and friction '
-              'leave')
-    notes = [f'a spring holds the joint: it {leaves}'] * bool(
+    leaves = (f'with it the model leaves {100.0 * found.residual_share:.2g} % of the power of the '
+              'error that it has without')
+    notes = [f'a spring holds the joint: {leaves}'] * bool(
         found.stiffness and not found.given)
     if not found.sine and not found.cosine:
         return recordings, notes
@@ -142,7 +142,7 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByP
                              force_judged=r.force_judged - judged(torque, r.motion),
                              taken={'gravity_sine': found.sine,
                                     'gravity_cosine': found.cosine}))
-    return taken, [f'the joint has gravity: it {leaves}'
+    return taken, [f'the joint has gravity: {leaves}'
                    + ('; a spring in its place would leave about as little' if found.ambiguous
                       and not found.stiffness else ''), *notes]
 

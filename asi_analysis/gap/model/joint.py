@@ -101,8 +101,10 @@ def drive_of(runs: Sequence[Run]) -> str:
     if followed is None:
         if 'force' in present:
             return 'force'
+        hint = ('; a pressure times the area of its piston is a force: import it as '
+                'force=PRESSURE*AREA[bar*cm^2]' if 'pressure' in present else '')
         raise InputError(f'{run.source}: a joint needs a command, a force or a reference of '
-                         'its motion; there are ' + ', '.join(present))
+                         'its motion; there are ' + ', '.join(present) + hint)
     if run.controlled() == 'force':
         return 'force' if moves else 'position'
     missed = np.nanstd(followed - run.signal('reference')) / np.nanstd(followed)
@@ -287,7 +289,8 @@ def _near(free: Free, servos: Sequence[Servo]) -> Free:
     """Return a free delay or lag with further initial guesses: those identified with a servo."""
     own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
         free.field, '')
-    guess = [getattr(each, own) for each in servos if own and not each.limited]
+    guess = [getattr(each, own) for each in servos
+             if own == 'delay' or (own and not each.limited)]
     return free._replace(starts=(*filter(None, guess), *free.starts))
 
 

@@ -36,6 +36,12 @@ LAG: Final = 20.0             # damping ratio at which a servo equals a lag of f
 LONGEST_DELAY: Final = 1.0    # s
 LATE: Final = ('delay', 'lag')
 LINEAR: Final = (*LATE, 'split')
+# What is fitted of a servo with limits. Pulsation times period, rad, above which delays of whole
+# samples are tried, and how many; a residual by which they are given up, relative to the best.
+LIMITED: Final = ('pulsation', 'damping', 'rate', 'acceleration')
+COARSE: Final = 0.05
+MOST_LATE: Final = 12
+WORSE: Final = 4.0
 TOLERANCE: Final = 0.2        # of the gain
 # Initial guesses: damping ratio of a servo with a lag; the lag, as a share of the mean delay of
 # both, which is well known; share of its second pole. So many of the best are fitted.
@@ -201,17 +207,39 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     one_pole = _lagging(delayed, recordings)
     two_poles = _lagging(delayed, recordings, one_pole)
     found = sorted((delayed, one_pole, two_poles), key=lambda each: _power(each, recordings))
-    speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
-                for r in recordings)
-    limited = _fitted(delayed._replace(rate=0.7 * speed,
-                                       acceleration=0.5 * delayed.pulsation * speed),
-                      ('pulsation', 'damping', 'rate', 'acceleration', 'delay'), recordings)
+    limited = _limited(delayed, recordings)
     if _power(limited, recordings) < LEFT_UNLIMITED * _power(found[0], recordings):
         found = [limited]
     residual = left_of(found[0], recordings, 'held_out')
     ratio = simple / (float(np.mean(residual ** 2)) + 1e-300)
     gain = 0.5 * independent(residual, np.ones_like(residual)) * math.log(max(ratio, 1e-300))
     return found if gain > AGAINST else []
+
+
+def _limited(delayed: Servo, recordings: Sequence[Recording]) -> Servo:
+    """
+    Return the best fit of a servo with limits and a delay.
+
+    delayed: the fit of one without limits. Where a sample is long, the residual has a kink at each
+    delay of whole samples, in which a fit stays: then each such delay is tried.
+    """
+    def power(each: Servo) -> float:
+        return _power(each, recordings, 'fit')
+
+    period = max(r.period_s for r in recordings)
+    speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
+                for r in recordings)
+    start = delayed._replace(rate=0.7 * speed, acceleration=0.5 * delayed.pulsation * speed)
+    best = _fitted(start, (*LIMITED, 'delay'), recordings)
+    if period * delayed.pulsation < COARSE:
+        return best
+    start = start._replace(pulsation=2.0 * start.pulsation)
+    for late in range(MOST_LATE + 1):
+        start = _fitted(start._replace(delay=late * period), LIMITED, recordings)
+        if power(start) > WORSE * power(best):
+            break
+        best = min(best, start, key=power)
+    return min(best, _fitted(best, (*LIMITED, 'delay'), recordings), key=power)
 
 
 def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | None = None

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputWarning
+from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
@@ -40,3 +42,28 @@ def test_servo_is_identified_with_what_makes_it_late(true):
     same = min(found, key=lambda each: abs(each.lag - true.lag) + abs(each.delay - true.delay))
     assert (same.lag, same.delay) == pytest.approx((true.lag, true.delay), abs=1e-3)
     assert same.pulsation == pytest.approx(80.0, rel=0.05)
+
+
+def test_a_slowly_sampled_servo_has_its_limits_and_its_delay():
+    # A hobby servo at 50 Hz: between whole samples of delay the fit stayed, 6.9 % were left, and
+    # the answer was unknown.
+    rng = np.random.default_rng(3)
+    time = 0.02 * np.arange(2500)
+    reference = np.repeat(rng.uniform(-1.0, 1.0, 167), 15)[:2500]
+    moved, position, speed, wanted = [], 0.0, 0.0, 0.0
+    for k in range(2500):
+        moved.append(position)
+        for _ in range(40):
+            push = 625.0 * (wanted - position) - 35.0 * speed
+            speed = np.clip(speed + 0.0005 * np.clip(push, -52.0, 52.0), -5.2, 5.2)
+            position += 0.0005 * speed
+        wanted = reference[max(k - 1, 0)]
+    run = Run(time, reference_n=reference, position_m=np.round(np.array(moved) / 0.0015) * 0.0015,
+              source='servo', information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    limits = 'a rate of at most 5[.][12].* an acceleration of at most 5[12]'
+    with pytest.warns(InputWarning, match=limits):
+        answer = diagnose([run], plant='joint')
+    assert answer.verdict == 'transport_delay'
+    assert answer.which[0]['parameters']['command_delay'] == pytest.approx(0.04, abs=0.006)
+    assert answer.gap['after_nrmse'] < 0.01
+    assert any('follows the reference as a servo with limits' in note for note in answer.notes)
