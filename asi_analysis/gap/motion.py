@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 from scipy.fft import next_fast_len
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import coherence, welch
 
 from asi_analysis.arrays import Array, Complex, Mask
-from asi_analysis.gap.sampling import noise_of
+from asi_analysis.gap.sampling import SHARED, noise_of
 
 PAD_S = 0.6   # mirrored samples at both ends before a Fourier transform; their outer half fades
 # The motion is low-pass filtered at this multiple of the compared band, or at the frequency where
@@ -28,6 +29,10 @@ LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
 # A standstill lasts at least STANDS_S, in which a joint at SLOW times its usual speed would move
 # by a step of its encoder. If they are more than MOST_STANDS of a recording, none is left out.
 STANDS_S, SLOW, MOST_STANDS = 0.02, 0.1, 0.95
+# Without an encoder: it stays within so many standard deviations of the noise for REST_S, or as
+# long as a joint at SLOW times its usual speed takes for that, at most LONGEST_S. A shorter time
+# would leave out the slow motion at each turn, from which a compliance is identified.
+WITHIN, REST_S, LONGEST_S = 6.0, 0.1, 0.3
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 
 
@@ -215,17 +220,34 @@ def stands(position: Array, period: float, band: float) -> Mask:
     Return the samples in which a joint stands still, with half a period of the band (Hz) around.
 
     Static friction then balances any force, which the motion does not determine. No samples, if
-    the encoder is too coarse to tell a standstill from slow motion.
+    the encoder is too coarse, or the noise too large, to tell a standstill from slow motion.
     """
     moves = np.diff(position)
     still = np.zeros(position.size, bool)
     steps = np.abs(moves[moves != 0.0])
-    if not steps.size or float(np.median(steps)) > SLOW * STANDS_S * float(np.std(moves)) / period:
+    if not steps.size:
+        return still
+    if np.unique(position).size > SHARED * position.size:    # no encoder: values hardly repeat
+        noise = noise_of(position)
+        within = WITHIN * noise
+        slow = SLOW * math.sqrt(max(float(np.var(moves)) - 2.0 * noise ** 2, 0.0)) / period
+        if LONGEST_S * slow <= within:
+            return still
+        count = min(max(math.ceil(max(REST_S, within / slow) / period), 4), position.size)
+        span = (maximum_filter1d(position, count) - minimum_filter1d(position, count)) < within
+        still = maximum_filter1d(span, count)
+        return _with_reach(still, period, band)
+    if float(np.median(steps)) > SLOW * STANDS_S * float(np.std(moves)) / period:
         return still
     edges = np.concatenate([[0], np.flatnonzero(moves) + 1, [position.size]])
     for first, last in itertools.pairwise(edges):
         if (last - first) * period >= STANDS_S:
             still[first:last] = True
+    return _with_reach(still, period, band)
+
+
+def _with_reach(still: Mask, period: float, band: float) -> Mask:
+    """Return samples with half a period of the band around; none if that is nearly all."""
     reach = round(0.5 / (band * period))
     near = np.convolve(still, np.ones(2 * reach + 1), 'same') > 0.0
     return near if near.mean() < MOST_STANDS else np.zeros_like(still)
