@@ -122,7 +122,7 @@ def _sine_share(values: Array, cycles: int) -> float:
 def _rests(values: Array) -> bool:
     """Return whether a signal of n samples hardly changes at its beginning and end."""
     some = max(3, int(AT_REST * values.size))
-    return max(np.ptp(values[:some]), np.ptp(values[-some:])) < AT_REST * np.ptp(values)
+    return bool(max(np.ptp(values[:some]), np.ptp(values[-some:])) < AT_REST * np.ptp(values))
 
 
 def _of_values(values: Array) -> Complex:

@@ -1,5 +1,7 @@
 """Faults that recordings by others showed (doc/explanation/public_recordings.md), on our own."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_gap_joint import TWO_WAVES, joint
@@ -7,6 +9,7 @@ from test_gap_joint import TWO_WAVES, joint
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.model import gravity
 from asi_analysis.gap.model.joint import rattling_in
 from asi_analysis.gap.model.rattling import is_closed
 from asi_analysis.gap.motion import stands
@@ -55,6 +58,15 @@ def test_a_third_run_of_a_machine_that_varies_is_no_change():
                             for friction in (0.1, 0.105, 0.11))
     answer = diagnose([third], plant='joint', baseline=[first, second])
     assert answer.baseline['change'] != 'changed'
+
+
+def test_only_a_spring_alone_stands_in_the_place_of_gravity(monkeypatch):
+    # It was said where gravity with a spring explained as much, as it does in noise.
+    monkeypatch.setattr(gravity, 'INDEPENDENT', 0.0)
+    run = joint(gravity=1.0)
+    noise = np.random.default_rng(4).normal(0.0, 0.05, len(run))
+    with pytest.warns(InputWarning, match='with it the model leaves .* without$'):
+        diagnose([replace(run, command_n=run.command_n + noise)], plant='joint')
 
 
 @pytest.mark.parametrize('creep', [0.0, 2e-5])
