@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from asi_analysis.gap.formulation import TOLERANCE_FACTOR, is_of_law
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.posterior import Posterior, fitted, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant, without_prior
@@ -56,29 +59,37 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
 
 
 def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Candidate:
-    """Return a hypothesis with further effects, whose parameters have no prior any more."""
-    fitted = candidate.fitted
-    free = without_prior(fitted.free, more)
-    return Candidate(names, (*candidate.variants, *more), fitted._replace(
-        free=free, problem=replace(fitted.problem, free=free)))
+    """
+    Return a hypothesis with further effects, fitted again: their parameters have no prior now.
+
+    Also from nominal values of the others, which took up what the prior kept from the parameter.
+    """
+    before = candidate.fitted.problem
+    assert isinstance(before, Posterior)
+    problem = replace(before, free=without_prior(before.free, more))
+    theta, (_, precision) = candidate.fitted.theta, problem.prior
+    usual = np.where(precision > 0.0, problem.nominal, theta)
+    best = min((most_probable(problem, start) for start in (theta, usual)),
+               key=lambda each: each.cost)
+    return Candidate(names, (*candidate.variants, *more), fitted(problem, best))
 
 
 def _beyond(weighed: Weighed, names: Names, times: float) -> dict[str, Variant]:
     """Return the effects of parameters beyond so many `times` their tolerance, and their forms."""
     group, candidate = weighed.group, weighed.candidates[names]
-    fitted, found = candidate.fitted, dict[str, Variant]()
+    fit, found = candidate.fitted, dict[str, Variant]()
     own = {free.field for variant in candidate.variants for free in variant.free}
     # Of laws formulated in another way, a parameter means something slightly different.
     others = group.other_formulation and group.may_differ
-    suspects = [free for free in fitted.free if free.field in fitted.at_limit.keys() - own
+    suspects = [free for free in fit.free if free.field in fit.at_limit.keys() - own
                 and not (others and is_of_law(free, group))]
     if not suspects:
         return found
-    known = likelihood(fitted)
+    known = likelihood(fit)
     for free in suspects:
         nominal = float(group.nominal[free.field])
         if all(abs(end / nominal - 1.0) > 2.0 * times * free.prior
-               for end in interval(fitted, known, free.field)):
+               for end in interval(fit, known, free.field)):
             effect, variant = form_of(group, free.field)
             if effect.name not in names:
                 found[effect.name] = variant

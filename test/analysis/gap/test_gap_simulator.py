@@ -529,6 +529,18 @@ def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     assert within['verdict'] == 'no_gap'
 
 
+def test_a_parameter_that_is_named_is_not_drawn_to_its_nominal_value():
+    """In a noisy recording the prior of a nominal parameter would draw its size."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_flexure.coil_frequency': 36.0}, noise=60.0, duration_s=1.5)
+    group = simulator_group(simulator.simulator_record(nominal), prepared([run]), ('valve',))
+    weighed = weighed_of({(): null_fit(group)}, True)
+    named = weighed.candidates[('valve_lag',)].fitted   # the effect that holds it
+    assert named.record['valve_flexure_coil_frequency'] == pytest.approx(36.0, rel=0.05)
+    drawn = weighed.candidates[()].fitted.record['valve_flexure_coil_frequency']
+    assert drawn < 30.0
+
+
 @pytest.mark.slow
 def test_one_parameter_far_beyond_its_tolerance_is_not_taken_for_laws_of_another_form():
     nominal = {'load.type': 'free'}
