@@ -33,6 +33,7 @@ LOWEST = (0.0, 1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0)
 STRONGEST = 0.99   # correlation from sample to sample
 TAPERED = 0.1   # of the samples, at both ends together
 LAGS = 32   # samples of the command before, which noise does not follow
+MOST = 2 ** 16   # samples of a recording that are used, for the sake of memory
 NOT_WHITE = ('the noise of the {} is stronger than its fastest changes show: the correlation from '
              'sample to sample is {:.2f}; it was found in what the model leaves')
 # The recorded signal of a channel, with its noise alone.
@@ -182,7 +183,7 @@ def _samples(recordings: Sequence[Recording], channel: str, p: np.void) -> _Samp
         error = measured(r, channel) - predict(r, channel, p)
         drive = r.command if r.command is not None else np.zeros_like(error)
         at = np.flatnonzero(r.valid[:-1] & r.valid[1:])   # noise is estimated from all samples
-        at = at[at >= LAGS]
+        at = at[at >= LAGS][:MOST]
         parts.append(_Samples(error[at], error[at + 1],
                               drive[at[:, None] - np.arange(LAGS)[None, :]]))
     return _Samples(*map(np.concatenate, zip(*parts, strict=True)))
