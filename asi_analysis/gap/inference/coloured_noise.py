@@ -34,8 +34,8 @@ STRONGEST = 0.99   # correlation from sample to sample
 TAPERED = 0.1   # of the samples, at both ends together
 LAGS = 32   # samples of the command before, which noise does not follow
 MOST = 2 ** 16   # samples of a recording that are used, for the sake of memory
-NOT_WHITE = ('the noise of the {} is stronger than its fastest changes show: the correlation from '
-             'sample to sample is {:.2f}; it was found in what the model leaves')
+NOT_WHITE = ('the noise of the {} is not white: its correlation from sample to sample is {:.2f}. '
+             'Its level is that of what the model leaves')
 # The recorded signal of a channel, with its noise alone.
 SIGNALS = {'valve': 'valve_position', 'force': 'force', 'velocity': 'velocity',
            'position': 'position'}
