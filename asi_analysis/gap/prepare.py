@@ -60,8 +60,8 @@ class Recording:
     raw_velocity: Array | None = None   # m/s, as measured
     raw_position: Array | None = None   # m, as measured, from `origin_m`
     valve_estimate: Array | None = None   # m, measured valve position with less noise
-    # Correlation from sample to sample of noise that is not white, by signal.
-    colour: dict[str, float] = field(default_factory=dict)
+    # Of noise that is not white, the coefficients of its autoregression, by signal.
+    colour: dict[str, tuple[float, ...]] = field(default_factory=dict)
     # Integration error of the simulator's predictions, by channel: to be added to those with this
     # sub-step.
     corrections: dict[str, Array] = field(default_factory=dict)

@@ -1,10 +1,12 @@
 """Uniform sampling of a run: missing samples, the noise of a signal, clipped samples."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import lfilter
 
-from asi_analysis.arrays import Array, Mask
+from asi_analysis.arrays import Array, Complex, Mask
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.parts import BURN_OUT_S
@@ -19,6 +21,8 @@ SMALL = 0.1             # share of the median step below which a signal comes to
 CLIPPED_SAMPLES = 4     # at an extreme, at least
 CLIPPED = 0.005         # share of samples at an extreme above which a signal is clipped there
 SHARED = 0.3            # a signal with fewer values than this share of its samples is quantised
+CIRCLE = np.linspace(-0.5, 0.5, 4096, endpoint=False)   # frequencies, cycles per sample
+SETTLING = 1000         # samples after which noise of a colour is in its steady state
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
@@ -36,14 +40,36 @@ def noise_of(signal: Array) -> float:
     return white
 
 
-def noise_spectrum(frequency: Array, correlation: float) -> Array:
+def noise_spectrum(frequency: Array, colour: Sequence[float]) -> Array:
     """
     Return the power density of noise over that of white noise with the same variance.
 
-    frequency: cycles per sample; correlation: from sample to sample, of first order.
+    frequency: cycles per sample; colour: the coefficients of an autoregression, none if white.
     """
-    lag = np.exp(-2j * np.pi * frequency)
-    return (1.0 - correlation ** 2) / np.abs(1.0 - correlation * lag) ** 2
+    return 1.0 / (gain_of_noise(colour) * np.abs(_whitener(frequency, colour)) ** 2)
+
+
+def gain_of_noise(colour: Sequence[float]) -> float:
+    """Return the variance of autoregressive noise over that of the white noise that drives it."""
+    return float(np.mean(np.abs(_whitener(CIRCLE, colour)) ** -2))
+
+
+def correlation(colour: Sequence[float]) -> float:
+    """Return the correlation of autoregressive noise from sample to sample."""
+    return float(np.mean(noise_spectrum(CIRCLE, colour) * np.cos(2.0 * np.pi * CIRCLE)))
+
+
+def noise_of_colour(count: int, colour: Sequence[float], random: np.random.Generator) -> Array:
+    """Return autoregressive noise with the variance 1, from its steady state."""
+    white = random.standard_normal(count + SETTLING)
+    return lfilter([1.0], [1.0, *(-each for each in colour)], white)[SETTLING:] / math.sqrt(
+        gain_of_noise(colour))
+
+
+def _whitener(frequency: Array, colour: Sequence[float]) -> Complex:
+    """Return the response of the filter that makes autoregressive noise white."""
+    return np.polynomial.polynomial.polyval(
+        np.exp(-2j * np.pi * frequency), [1.0, *(-each for each in colour)])
 
 
 def clipped(signal: Array) -> Mask:

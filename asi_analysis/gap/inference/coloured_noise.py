@@ -11,29 +11,36 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.optimize import brentq, minimize_scalar
 from scipy.signal.windows import tukey
 
-from asi_analysis.arrays import Array, Complex
+from asi_analysis.arrays import Array, Complex, Mask
 from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
-from asi_analysis.gap.sampling import noise_spectrum
+from asi_analysis.gap.sampling import correlation, gain_of_noise, noise_spectrum
 
-# Of the power of coloured noise, which no effect may be named for: its spectrum in the band of the
-# excitation is extrapolated.
-UNSURE = 0.1
+UNSURE = 0.1   # share of the power of noise whose spectrum is extrapolated to low frequencies
 LOUDER = 1.2   # times the estimated power: less is its uncertainty
 # Standard deviations by which what is tested of noise hardly ever differs from its mean; of the
 # cumulative periodogram, but for the first and the last EDGE frequencies.
 HARDLY_EVER, EDGE = 4.5, 10
-# Noise is sought above these shares of the band; the first with nothing but noise counts.
-LOWEST = (0.0, 1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0)
-STRONGEST = 0.99   # correlation from sample to sample
+# What is left of noise after a sample, at most: a slower course may be a disturbance.
+STRONGEST = 0.99
+LAGS = 32   # samples before, of which noise does not follow the command
+ORDERS = (1, 2, 4, 8, 16, LAGS)   # of autoregressions, one after the other
+# White noise of this share of the residual (power) is added: what is weaker is not tested. What a
+# filter of a sensor leaves far above its band would take an endless autoregression.
+DITHER = 0.1
+# If a residual is not noise alone, noise is sought above these shares of the band.
+LOWEST = (1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0)
 TAPERED = 0.1   # of the samples, at both ends together
-LAGS = 32   # samples of the command before, which noise does not follow
-MOST = 2 ** 16   # samples of a recording that are used, for the sake of memory
+COMMON = 0.3   # of the strongest course of a command: others that are as strong
+SMALL = 0.1    # of the largest value of a signal: below, its sign may be that of its noise
+# Samples that are used: fewer hold too little, more of a recording take too much memory.
+SHORTEST, MOST = 16 * EDGE, 2 ** 16
 NOT_WHITE = ('the noise of the {} is not white: its correlation from sample to sample is {:.2f}. '
              'Its level is that of what the model leaves')
 # The recorded signal of a channel, with its noise alone.
@@ -42,55 +49,114 @@ SIGNALS = {'valve': 'valve_position', 'force': 'force', 'velocity': 'velocity',
 
 
 class Noise(NamedTuple):
-    """First-order autoregressive noise: its correlation from sample to sample, and variance."""
-
-    correlation: float
-    variance: float
-
-
-class _Samples(NamedTuple):
-    """n samples of a residual, those that follow them, and LAGS commands before each (n, LAGS)."""
-
-    before: Array
-    after: Array
-    commands: Array
-
-
-def noise_of_residual(before: Array, after: Array, commands: Array) -> Noise | None:
     """
-    Return the noise that a residual holds above some frequency, or None if that is not noise.
+    Autoregressive noise: its coefficients, that of the sample before first, and variance.
 
-    before, after: n samples of it, and those that follow them; commands: the commands before each,
-    (n, m). Above that frequency the residual is noise if it is first-order autoregressive: without
-    what follows from the sample before, it is
+    unsure: the share of its power that no effect may be named for.
+    """
+
+    colour: tuple[float, ...]
+    variance: float
+    unsure: float = 0.0
+
+
+class Residual(NamedTuple):
+    """What a model leaves of a signal, command and velocity of that time, where valid; n each."""
+
+    error: Array
+    command: Array
+    velocity: Array
+    valid: Mask
+
+
+def noise_of_residual(residuals: Sequence[Residual]) -> Noise | None:
+    """
+    Return the noise that the residuals of recordings hold, or None if that is not noise.
+
+    It is noise if it is autoregressive: without what follows from the samples before, it is
 
     - white, by its cumulative periodogram (Box, Jenkins, Reinsel, Time Series Analysis, 4th ed.,
-      8.2.5), each frequency by its own standard deviation (Anderson and Darling 1952);
+      8.2.5), each frequency by its own standard deviation (Anderson and Darling 1952), which has
+      neither lines, as of a periodic signal, nor is smooth, as of a chirp;
     - normal, by its fourth moment: a force that jumps now and then has the spectrum of noise;
     - independent of the commands before (Ljung, System Identification, 2nd ed., 16.6).
 
-    Below, what a model fails to explain is added to the noise.
+    If it is not, noise of first order is sought above some frequency. Below, what a model fails to
+    explain is added to the noise.
     """
-    if before.size < 16 * EDGE or not np.ptp(before):
+    return _of_any_order(residuals) or _above_some_frequency(residuals)
+
+
+def _of_any_order(residuals: Sequence[Residual]) -> Noise | None:
+    """Return the noise that residuals are."""
+    random = np.random.default_rng(733_103)   # not that of a simulator, whose seeds are small
+    errors, commands, velocities = _before(LAGS, residuals)
+    if len(errors) < SHORTEST or not np.ptp(errors):
         return None
-    count, taper = before.size, tukey(before.size, TAPERED)   # else the ends leak upwards
-    signals = np.column_stack([before, after, commands])
-    spectra = np.fft.rfft(taper[:, None] * (signals - signals.mean(axis=0)), axis=0).T
+    plain, variance = errors.T @ errors / len(errors), errors[:, 0].var()
+    errors = _before(LAGS, [each._replace(
+        error=each.error + math.sqrt(DITHER * variance)
+        * random.standard_normal(each.error.size)) for each in residuals])[0]
+    dithered = errors.T @ errors / len(errors)
+    for order in ORDERS:
+        colour = _colour(dithered, order)
+        fresh = errors[:, 0] - errors[:, 1:order + 1] @ np.array(colour)
+        lasting = np.abs(np.roots([1.0, *(-each for each in colour)])).max() > STRONGEST
+        if (not lasting and _is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
+                and not _follows(fresh, commands[:, 1:])
+                and not _resembles(errors[:, 0], _causes(commands, velocities),
+                                   fresh.var() * gain_of_noise(colour), colour)):
+            return Noise(_colour(plain, order), float(variance))
+    return None
+
+
+def _colour(powers: Array, order: int) -> tuple[float, ...]:
+    """Return the coefficients of an autoregression; powers: of samples and those before."""
+    return tuple(np.linalg.lstsq(powers[1:order + 1, 1:order + 1], powers[0, 1:order + 1],
+                                 rcond=1e-9)[0].tolist())
+
+
+def _above_some_frequency(residuals: Sequence[Residual]) -> Noise | None:
+    """Return the noise of first order that residuals hold above some frequency."""
+    errors, commands, _ = _before(1, residuals)
+    count, taper = len(errors), tukey(len(errors), TAPERED)   # else the ends leak upwards
+    if count < SHORTEST or not np.ptp(errors):
+        return None
+    signals = np.column_stack([errors[:, 1], errors[:, 0], commands[:, 1:]])
+    spectra = np.fft.rfft(taper[:, None] * signals, axis=0).T
     turns = np.fft.rfftfreq(count)
     for low in LOWEST:
         band = turns > 0.5 * low
-        correlation, least = _correlation(spectra[:2, band], turns[band])
-        fresh = spectra[1] - correlation * spectra[0]
-        power = np.abs(fresh[band]) ** 2
+        most_likely, least = _correlation(spectra[:2, band], turns[band])
+        fresh = spectra[1] - most_likely * spectra[0]
         signal, *drives = np.fft.irfft(np.where(band, [fresh, *spectra[2:]], 0.0), count)
-        if (_is_white(power) and _is_normal(signal[taper == 1.0])
+        if (_is_white(np.abs(fresh[band]) ** 2) and _is_normal(signal[taper == 1.0])
                 and not _follows(signal, np.array(drives).T, band.mean())):
-            if low > 0.0:   # the power below grows fast with the correlation
-                correlation = least
-            power = np.abs(spectra[1] - correlation * spectra[0])[band] ** 2
-            return Noise(correlation, float(power.mean() / np.sum(taper ** 2)
-                                            / (1.0 - correlation ** 2)))
+            # With the lower bound, as the power below the band grows fast with the correlation.
+            power = np.abs(spectra[1] - least * spectra[0])[band] ** 2
+            return Noise((least,), float(power.mean() / np.sum(taper ** 2) / (1.0 - least ** 2)),
+                         UNSURE)
     return None
+
+
+def _before(lags: int, residuals: Sequence[Residual]) -> tuple[Array, Array, Array]:
+    """
+    Return errors with those before, (n, 1 + lags), commands and velocities, (n, 1 + LAGS).
+
+    At all samples that are valid, as are those before; without means.
+    """
+    rows = [[np.empty((0, lags + 1)), np.empty((0, LAGS + 1)), np.empty((0, LAGS + 1))]]
+    for error, command, velocity, valid in residuals:
+        count = error.size - LAGS
+        if count > 0:
+            known = sliding_window_view(valid[-count - lags:], lags + 1).all(axis=1)
+            at = np.flatnonzero(known)[:MOST]
+            windows = (sliding_window_view(signal[-count - before:], before + 1) for signal, before
+                       in ((error, lags), (command, LAGS), (velocity, LAGS)))
+            rows.append([np.array(each[at, ::-1]) for each in windows])
+    joined = [np.concatenate(each) for each in zip(*rows, strict=True)]
+    errors, commands, velocities = (each - each.sum() / max(each.size, 1) for each in joined)
+    return errors, commands, velocities
 
 
 def _correlation(spectra: Complex, turns: Array) -> tuple[float, float]:
@@ -115,9 +181,14 @@ def _correlation(spectra: Complex, turns: Array) -> tuple[float, float]:
 
 def _is_white(power: Array) -> bool:
     """Return whether a periodogram is that of white noise."""
-    share, white = np.cumsum(power) / power.sum(), np.arange(1, power.size + 1) / power.size
-    off = (share - white) / np.sqrt(np.maximum(white * (1.0 - white), 1e-9) / power.size)
-    return bool(np.abs(off[EDGE:-EDGE]).max() < HARDLY_EVER)
+    count, total = np.arange(1, power.size + 1), np.cumsum(power)
+    white = count / power.size
+    off = (total / total[-1] - white) / np.sqrt(np.maximum(white * (1.0 - white), 1e-9))
+    # The mean amplitude over the rms of normal noise; of lines it is small, of a smooth course 1.
+    uneven = (np.cumsum(np.sqrt(power)) / np.sqrt(total * count) - 0.5 * math.sqrt(math.pi)
+              ) * np.sqrt(count / (1.0 - 5.0 * math.pi / 16.0))
+    return bool(np.abs(off[EDGE:-EDGE]).max() * math.sqrt(power.size) < HARDLY_EVER
+                and np.abs(uneven[EDGE:]).max() < HARDLY_EVER)
 
 
 def _is_normal(signal: Array) -> bool:
@@ -126,35 +197,66 @@ def _is_normal(signal: Array) -> bool:
     return abs(tails) < HARDLY_EVER * math.sqrt(24.0 / signal.size)
 
 
-def _follows(signal: Array, commands: Array, share: float) -> bool:
+def _follows(signal: Array, commands: Array, share: float = 1.0) -> bool:
     """Return whether a signal, with this share of its band, depends on the commands before."""
     weights, _, rank, _ = np.linalg.lstsq(commands, signal, rcond=1e-6)
     explained = float(np.mean((commands @ weights) ** 2) / np.mean(signal ** 2))
     return bool(explained * share * signal.size > rank + HARDLY_EVER * math.sqrt(2.0 * rank))
 
 
+def _causes(commands: Array, velocities: Array) -> Array:
+    """Return what a residual resembles that is no noise: (n, m), without means."""
+    course, strength, _ = np.linalg.svd(commands, full_matrices=False)
+    causes = [course[:, strength > COMMON * strength[0]]]
+    for now, before in ((each[:, :1], each[:, LAGS // 4:LAGS // 4 + 1])
+                        for each in (commands, velocities)):
+        causes += [now, now ** 2, now * np.abs(now), _sign(now), _sign(now - before)]
+    joined = np.hstack(causes)
+    return joined - joined.mean(axis=0)
+
+
+def _sign(signal: Array) -> Array:
+    """Return the sign of a signal, without that of its noise about zero."""
+    return np.clip(signal / (SMALL * np.abs(signal).max() + 1e-300), -1.0, 1.0)
+
+
+def _resembles(signal: Array, causes: Array, variance: float, colour: Sequence[float]) -> bool:
+    """
+    Return whether noise of this variance and colour hardly ever resembles a cause so much.
+
+    A periodic residual follows from its own past, but it resembles the command that is its cause,
+    or what a law with a kink or a threshold makes of that or of the velocity.
+    """
+    twice = 2 * len(signal)   # without a period
+    spectra = np.abs(np.fft.fft(causes, twice, axis=0)) ** 2
+    power = variance * noise_spectrum(np.fft.fftfreq(twice), colour) @ spectra / twice
+    return bool(np.any((causes.T @ signal) ** 2 > HARDLY_EVER ** 2 * power))
+
+
 def with_coloured_noise(group: Group, p: np.void) -> Group:
     """
     Return a group with the noise that a hypothesis leaves, where that is more than was estimated.
 
-    p: the fitted record of the hypothesis.
+    Or less, if what a worse hypothesis left was counted. p: the fitted record of the hypothesis.
     """
     noise, floor, recordings = dict(group.noise), dict(group.error_floor), list(group.recordings)
     for channel in SIGNALS.keys() & {*group.channels}:
-        left = _mean_square(group, channel, p)
-        if left <= LOUDER * floor[channel]:
+        name, left, before = SIGNALS[channel], _mean_square(group, channel, p), floor[channel]
+        if name in recordings[0].colour and left < before:
+            floor[channel] = left
+            noise[channel] *= math.sqrt(left / before)
+        if left <= LOUDER * before:
             continue
-        found = noise_of_residual(*_samples(group.recordings, channel, p))
+        found = noise_of_residual([_residual(r, channel, p) for r in group.recordings])
         if found is None:
             continue
-        level = min(left, found.variance * _share_in_band(group, channel, found.correlation))
-        if level <= LOUDER * floor[channel]:
+        level = min(left, found.variance * _share_in_band(group, channel, found.colour))
+        if level <= LOUDER * before:
             continue
-        noise[channel] = math.sqrt(noise[channel] ** 2 + (1.0 - UNSURE) * (level - floor[channel]))
+        noise[channel] = math.sqrt(noise[channel] ** 2 + (1.0 - found.unsure) * (level - before))
         floor[channel] = level
-        name = SIGNALS[channel]
         recordings = [replace(r, noise=r.noise | {name: math.sqrt(found.variance)}, cache={},
-                              colour=r.colour | {name: found.correlation}) for r in recordings]
+                              colour=r.colour | {name: found.colour}) for r in recordings]
     if floor == group.error_floor:
         return group
     return replace(group, noise=noise, error_floor=floor, recordings=recordings)
@@ -166,32 +268,28 @@ def _mean_square(group: Group, channel: str, p: np.void) -> float:
     return float(np.mean(left ** 2)) / group.judged_share.get(channel, 1.0)
 
 
-def _share_in_band(group: Group, channel: str, correlation: float) -> float:
+def _share_in_band(group: Group, channel: str, colour: Sequence[float]) -> float:
     """Return the power of noise in the band of a channel, over that of white noise."""
     if channel not in group.judged_share:
         return 1.0
     passed = [float(np.mean(r.motion.judge ** 2 * noise_spectrum(
-        r.motion.omega * r.period_s / (2.0 * np.pi), correlation)))
+        r.motion.omega * r.period_s / (2.0 * np.pi), colour)))
         for r in group.recordings if r.motion and channel in MOTIONS]
     return float(np.mean(passed or [1.0])) / group.judged_share[channel]
 
 
-def _samples(recordings: Sequence[Recording], channel: str, p: np.void) -> _Samples:
-    """Return the residual of a channel, where it was recorded with LAGS commands before."""
-    parts: list[_Samples] = []
-    for r in recordings:
-        error = measured(r, channel) - predict(r, channel, p)
-        drive = r.command if r.command is not None else np.zeros_like(error)
-        at = np.flatnonzero(r.valid[:-1] & r.valid[1:])   # noise is estimated from all samples
-        at = at[at >= LAGS][:MOST]
-        parts.append(_Samples(error[at], error[at + 1],
-                              drive[at[:, None] - np.arange(LAGS)[None, :]]))
-    return _Samples(*map(np.concatenate, zip(*parts, strict=True)))
+def _residual(recording: Recording, channel: str, p: np.void) -> Residual:
+    """Return the residual of a channel at all samples, as its noise is estimated from all."""
+    error = measured(recording, channel) - predict(recording, channel, p)
+    none = np.zeros_like(error)
+    command, velocity = (none if each is None else each
+                         for each in (recording.command, recording.velocity))
+    return Residual(error, command, velocity, recording.valid)
 
 
 def colours(group: Group) -> dict[str, float]:
     """Return the correlation from sample to sample of noise that was found, by channel."""
-    return {channel: r.colour[name] for r in group.recordings
+    return {channel: correlation(r.colour[name]) for r in group.recordings
             for channel, name in SIGNALS.items()
             if channel in group.channels and name in r.colour}
 

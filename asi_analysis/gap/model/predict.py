@@ -16,6 +16,7 @@ from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.sampling import noise_of_colour
 from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
@@ -134,7 +135,8 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
     if recording.valve_position is not None:
-        noise = recording.noise['valve_position'] * rng.standard_normal(recording.fit.size)
+        noise = recording.noise['valve_position'] * noise_of_colour(
+            recording.fit.size, recording.colour.get('valve_position', ()), rng)
         name = 'valve_position' if recording.valve_estimate is None else 'valve_estimate'
         noisy[name] = getattr(recording, name) + noise
     motion = recording.motion

@@ -176,7 +176,7 @@ def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, flo
         missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
     noise = 2.0 * recording.noise['valve_position'] ** 2 * noise_spectrum(
-        frequency, recording.colour.get('valve_position', 0.0))
+        frequency, recording.colour.get('valve_position', ()))
     keep = np.clip(1.0 - noise / np.maximum(power, 1e-300), 0.0, 1.0)
     keep[keep <= LEAST_SHARE] = 0.0
     left = keep ** 2 * noise + (1.0 - keep) ** 2 * np.maximum(power - noise, 0.0)

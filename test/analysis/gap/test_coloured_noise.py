@@ -4,16 +4,20 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
-from asi_analysis.gap.inference.coloured_noise import noise_of_residual, with_coloured_noise
+from asi_analysis.gap.inference.coloured_noise import (
+    Residual,
+    noise_of_residual,
+    with_coloured_noise,
+)
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.group import simulator_group
 from asi_analysis.gap.prepare import prepare as prepared
-from asi_analysis.gap.sampling import noise_spectrum
+from asi_analysis.gap.sampling import correlation, noise_of_colour, noise_spectrum
 from asi_analysis.loop.closed_loop import simulate_loop
 
 LINEAR = {'load.type': 'spring', 'valve_hysteresis.model': 'off', 'friction.model': 'off',
@@ -25,16 +29,26 @@ LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisin
 LEVEL = {'force_n': 1.0, 'valve_position_m': 2e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
 
 
+# Noise of a sensor: behind a filter, averaged by its firmware, or slow beside white noise.
+KINDS = {'a low-pass of 100 Hz': lambda white: lfilter(*butter(2, 0.2), white[0]),
+         'a low-pass of 30 Hz': lambda white: lfilter(*butter(2, 0.06), white[0]),
+         'a mean of four': lambda white: lfilter([1.0] * 4, [1.0], white[0]),
+         'slow and white': lambda white: lfilter([0.2], [1.0, -0.98], white[0]) + 0.3 * white[1]}
+
+
 def noise(colour, count, seed=3):
-    """Return noise of standard deviation 1 with this correlation from sample to sample."""
-    white = np.random.default_rng(seed).standard_normal(count + 1000)
-    return lfilter([np.sqrt(1.0 - colour ** 2)], [1.0, -colour], white)[1000:]
+    """Return noise of standard deviation 1: of this kind, or correlation from sample to sample."""
+    white = np.random.default_rng(seed).standard_normal((2, count + 1000))
+    signal = (KINDS[colour](white) if colour in KINDS else
+              lfilter([np.sqrt(1.0 - colour ** 2)], [1.0, -colour], white[0]))[1000:]
+    return signal / signal.std() if colour in KINDS else signal
 
 
 def found_in(signal, command=None):
     """Return the noise in a signal, if it is noise; command: what may cause it."""
-    commands = np.zeros((signal.size - 1, 1)) if command is None else command[:-1, None]
-    return noise_of_residual(signal[:-1], signal[1:], commands)
+    none = np.zeros(signal.size)
+    command = none if command is None else command
+    return noise_of_residual([Residual(signal, command, none, none == 0.0)])
 
 
 def telegraph(count):
@@ -54,8 +68,37 @@ def recorded(machine, colour):
 @pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.95])
 def test_noise_is_recognised_whatever_its_colour(colour):
     found = found_in(noise(colour, 8000))
-    assert found.correlation == pytest.approx(colour, abs=0.03)
+    assert correlation(found.colour) == pytest.approx(colour, abs=0.03)
     assert found.variance == pytest.approx(1.0, rel=0.2)
+
+
+@pytest.mark.parametrize('count', [2500, 8000, 40_000])
+@pytest.mark.parametrize('kind', KINDS)
+def test_noise_is_recognised_whatever_its_kind(kind, count):
+    signal = noise(kind, count)
+    found = found_in(signal, np.random.default_rng(6).standard_normal(count))
+    assert found.variance == pytest.approx(1.0, rel=0.1)
+    half = noise_spectrum(np.fft.rfftfreq(count), found.colour)[:count // 20].mean()
+    power = np.abs(np.fft.rfft(signal))[1:count // 20] ** 2 / count
+    assert half == pytest.approx(power.mean(), rel=0.3)
+
+
+def test_samples_that_are_lost_do_not_matter():
+    signal = noise('a low-pass of 100 Hz', 8000)
+    valid = np.arange(signal.size) % 500 >= 20
+    none = np.zeros(signal.size)
+    found = noise_of_residual([Residual(np.where(valid, signal, 1e3), none, none, valid)])
+    assert found.variance == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize('shape', [np.sin, lambda phase: np.sign(np.sin(phase)),
+                                   lambda phase: np.sign(np.sin(phase)) * np.sin(phase) ** 2])
+@pytest.mark.parametrize('kind', [0.8, *KINDS])
+def test_what_follows_from_its_own_past_and_from_the_command_is_no_noise(shape, kind):
+    phase = 2.0 * np.pi * 3e-3 * np.arange(8000)
+    signal = shape(phase - 0.3) + noise(kind, phase.size)
+    found = found_in(signal, 100.0 * np.sin(phase))
+    assert found is None or found.variance < 1.25
 
 
 @pytest.mark.parametrize('missed', [
@@ -96,7 +139,15 @@ def test_the_spectrum_of_noise_is_that_of_its_correlation():
     for low, high in ((0.0, 0.01), (0.05, 0.1), (0.3, 0.5)):
         band = (frequency > low) & (frequency < high)
         assert power[band].mean() == pytest.approx(
-            noise_spectrum(frequency[band], 0.7).mean(), rel=0.05)
+            noise_spectrum(frequency[band], (0.7,)).mean(), rel=0.05)
+
+
+def test_noise_is_made_with_the_spectrum_that_was_found():
+    colour = found_in(noise('a low-pass of 100 Hz', 40_000)).colour
+    made = noise_of_colour(40_000, colour, np.random.default_rng(8))
+    assert made.std() == pytest.approx(1.0, rel=0.05)
+    assert found_in(made).variance == pytest.approx(1.0, rel=0.1)
+    assert correlation(found_in(made).colour) == pytest.approx(correlation(colour), abs=0.02)
 
 
 def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
@@ -107,15 +158,17 @@ def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
     found = with_coloured_noise(group, p)
     assert math.sqrt(found.error_floor['valve']) == pytest.approx(2e-7, rel=0.1)
     assert found.recordings[0].noise['valve_position'] == pytest.approx(2e-7, rel=0.1)
-    assert found.recordings[0].colour == {'valve_position': pytest.approx(0.8, abs=0.03)}
+    colour, = found.recordings[0].colour.values()
+    assert correlation(colour) == pytest.approx(0.8, abs=0.03)
     p['valve_flexure_deadband'] = 60.0
     assert math.sqrt(with_coloured_noise(group, p).error_floor['valve']) < 2.2e-7
 
 
+@pytest.mark.parametrize('colour', [0.85, 'a low-pass of 100 Hz'])
 @pytest.mark.parametrize(('effect', 'verdict'), [
     ({}, ''), ({'valve_flexure.deadband': 60.0}, 'valve_deadband')])
-def test_coloured_noise_is_no_gap_and_hides_none(effect, verdict):
-    found = diagnose([recorded(LINEAR | effect, 0.85)], LINEAR)
+def test_coloured_noise_is_no_gap_and_hides_none(effect, verdict, colour):
+    found = diagnose([recorded(LINEAR | effect, colour)], LINEAR)
     assert '+'.join(found.verdict) == verdict
     assert marginals(found.joined)['unknown'] < 0.2
     assert any('noise of the valve position' in note for note in found.notes)
