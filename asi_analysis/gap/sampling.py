@@ -54,16 +54,19 @@ def gain_of_noise(colour: Sequence[float]) -> float:
     return float(np.mean(np.abs(_whitener(CIRCLE, colour)) ** -2))
 
 
-def correlation(colour: Sequence[float]) -> float:
-    """Return the correlation of autoregressive noise from sample to sample."""
-    return float(np.mean(noise_spectrum(CIRCLE, colour) * np.cos(2.0 * np.pi * CIRCLE)))
-
-
 def noise_of_colour(count: int, colour: Sequence[float], random: np.random.Generator) -> Array:
     """Return autoregressive noise with the variance 1, from its steady state."""
     white = random.standard_normal(count + SETTLING)
     return lfilter([1.0], [1.0, *(-each for each in colour)], white)[SETTLING:] / math.sqrt(
         gain_of_noise(colour))
+
+
+def whitened(error: Array, valid: Mask, colour: Sequence[float]) -> Array:
+    """Return an error whose noise has this colour, with white noise of the same variance."""
+    index = np.arange(error.size)
+    bridged = np.interp(index, index[valid], error[valid])
+    return math.sqrt(gain_of_noise(colour)) * lfilter(
+        [1.0, *(-each for each in colour)], [1.0], bridged)
 
 
 def _whitener(frequency: Array, colour: Sequence[float]) -> Complex:

@@ -16,11 +16,10 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.signal.windows import tukey
 
 from asi_analysis.arrays import Array, Complex, Mask
-from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
-from asi_analysis.gap.sampling import correlation, gain_of_noise, noise_spectrum
+from asi_analysis.gap.sampling import gain_of_noise, noise_spectrum
 
 UNSURE = 0.1   # share of the power of noise whose spectrum is extrapolated to low frequencies
 LOUDER = 1.2   # times the estimated power: less is its uncertainty
@@ -41,8 +40,7 @@ COMMON = 0.3   # of the strongest course of a command: others that are as strong
 SMALL = 0.1    # of the largest value of a signal: below, its sign may be that of its noise
 # Samples that are used: fewer hold too little, more of a recording take too much memory.
 SHORTEST, MOST = 16 * EDGE, 2 ** 16
-NOT_WHITE = ('the noise of the {} is not white: its correlation from sample to sample is {:.2f}. '
-             'Its level is that of what the model leaves')
+NOT_WHITE = 'the noise of the {} is not white. Its level and spectrum are those of what is left'
 # The recorded signal of a channel, with its noise alone.
 SIGNALS = {'valve': 'valve_position', 'force': 'force', 'velocity': 'velocity',
            'position': 'position'}
@@ -52,7 +50,8 @@ class Noise(NamedTuple):
     """
     Autoregressive noise: its coefficients, that of the sample before first, and variance.
 
-    unsure: the share of its power that no effect may be named for.
+    With DITHER, if it was found in the whole band. unsure: the share of its power that no effect
+    may be named for.
     """
 
     colour: tuple[float, ...]
@@ -93,27 +92,22 @@ def _of_any_order(residuals: Sequence[Residual]) -> Noise | None:
     errors, commands, velocities = _before(LAGS, residuals)
     if len(errors) < SHORTEST or not np.ptp(errors):
         return None
-    plain, variance = errors.T @ errors / len(errors), errors[:, 0].var()
+    variance = errors[:, 0].var()
     errors = _before(LAGS, [each._replace(
         error=each.error + math.sqrt(DITHER * variance)
         * random.standard_normal(each.error.size)) for each in residuals])[0]
-    dithered = errors.T @ errors / len(errors)
+    powers = errors.T @ errors / len(errors)
     for order in ORDERS:
-        colour = _colour(dithered, order)
+        colour = tuple(np.linalg.solve(powers[1:order + 1, 1:order + 1],
+                                       powers[0, 1:order + 1]).tolist())
         fresh = errors[:, 0] - errors[:, 1:order + 1] @ np.array(colour)
         lasting = np.abs(np.roots([1.0, *(-each for each in colour)])).max() > STRONGEST
         if (not lasting and _is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
                 and not _follows(fresh, commands[:, 1:])
                 and not _resembles(errors[:, 0], _causes(commands, velocities),
                                    fresh.var() * gain_of_noise(colour), colour)):
-            return Noise(_colour(plain, order), float(variance))
+            return Noise(colour, float(variance))
     return None
-
-
-def _colour(powers: Array, order: int) -> tuple[float, ...]:
-    """Return the coefficients of an autoregression; powers: of samples and those before."""
-    return tuple(np.linalg.lstsq(powers[1:order + 1, 1:order + 1], powers[0, 1:order + 1],
-                                 rcond=1e-9)[0].tolist())
 
 
 def _above_some_frequency(residuals: Sequence[Residual]) -> Noise | None:
@@ -250,13 +244,13 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
         found = noise_of_residual([_residual(r, channel, p) for r in group.recordings])
         if found is None:
             continue
-        level = min(left, found.variance * _share_in_band(group, channel, found.colour))
-        if level <= LOUDER * before:
-            continue
-        noise[channel] = math.sqrt(noise[channel] ** 2 + (1.0 - found.unsure) * (level - before))
-        floor[channel] = level
-        recordings = [replace(r, noise=r.noise | {name: math.sqrt(found.variance)}, cache={},
-                              colour=r.colour | {name: found.colour}) for r in recordings]
+        louder = [replace(r, noise=r.noise | {name: math.sqrt(found.variance)}, cache={},
+                          colour=r.colour | {name: found.colour}) for r in recordings]
+        level = min(_mean_square(replace(group, recordings=louder), channel, p), found.variance)
+        noise[channel] = math.sqrt(max(
+            noise[channel] ** 2 + (1.0 - found.unsure) * (level - before),
+            noise[channel] ** 2 * level / before))
+        floor[channel], recordings = level, louder
     if floor == group.error_floor:
         return group
     return replace(group, noise=noise, error_floor=floor, recordings=recordings)
@@ -268,16 +262,6 @@ def _mean_square(group: Group, channel: str, p: np.void) -> float:
     return float(np.mean(left ** 2)) / group.judged_share.get(channel, 1.0)
 
 
-def _share_in_band(group: Group, channel: str, colour: Sequence[float]) -> float:
-    """Return the power of noise in the band of a channel, over that of white noise."""
-    if channel not in group.judged_share:
-        return 1.0
-    passed = [float(np.mean(r.motion.judge ** 2 * noise_spectrum(
-        r.motion.omega * r.period_s / (2.0 * np.pi), colour)))
-        for r in group.recordings if r.motion and channel in MOTIONS]
-    return float(np.mean(passed or [1.0])) / group.judged_share[channel]
-
-
 def _residual(recording: Recording, channel: str, p: np.void) -> Residual:
     """Return the residual of a channel at all samples, as its noise is estimated from all."""
     error = measured(recording, channel) - predict(recording, channel, p)
@@ -287,11 +271,10 @@ def _residual(recording: Recording, channel: str, p: np.void) -> Residual:
     return Residual(error, command, velocity, recording.valid)
 
 
-def colours(group: Group) -> dict[str, float]:
-    """Return the correlation from sample to sample of noise that was found, by channel."""
-    return {channel: correlation(r.colour[name]) for r in group.recordings
-            for channel, name in SIGNALS.items()
-            if channel in group.channels and name in r.colour}
+def coloured(group: Group) -> list[str]:
+    """Return the channels with noise that is not white."""
+    return [channel for channel in group.channels
+            if any(SIGNALS.get(channel) in r.colour for r in group.recordings)]
 
 
 def with_noise_of_valve(group: Group, valve: Group) -> Group:

@@ -16,7 +16,7 @@ from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording
-from asi_analysis.gap.sampling import noise_of_colour
+from asi_analysis.gap.sampling import noise_of_colour, whitened
 from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
@@ -325,8 +325,12 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
     Return the error of a prediction, n samples in the channel's unit; of a motion, in its band.
 
     Above that band a mass rings when it begins or ends to slide, which the force does not show.
+    Noise of the simulator's channels is made white (Ljung, System Identification, 2nd ed., 7.3).
     """
-    error = measured(recording, channel) - predict(recording, channel, p)
+    error: Array = measured(recording, channel) - predict(recording, channel, p)
+    colour = recording.colour.get('valve_position' if channel == 'valve' else channel)
+    if colour and simulator.of_simulator(p):
+        error = whitened(error, recording.valid, colour)
     if channel not in MOTIONS or recording.motion is None:
         return error
     return judged(error, recording.motion)

@@ -16,7 +16,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
-from asi_analysis.gap.inference.coloured_noise import colours
+from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import (
     ODDS_AGAINST,
@@ -69,7 +69,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     level = np.maximum(mean_squares(least.problem, least.best.residual), exact)
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
-    equal = equal_below(least) if group.other_formulation or colours(group) else exact
+    equal = equal_below(least) if group.other_formulation or coloured(group) else exact
     simplest = _simplest_explained(found) if group.may_differ else None
 
     def left(each: Found) -> Array:

@@ -78,8 +78,12 @@ def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
         own = each.problem.group
         recordings = [replace(r, noise=heard.noise, colour=heard.colour)
                       for r, heard in zip(own.recordings, louder.recordings, strict=True)]
-        return each.weighed_as(replace(each.problem, group=replace(
-            own, noise=louder.noise, error_floor=louder.error_floor, recordings=recordings)))
+        problem = replace(each.problem, group=replace(
+            own, noise=louder.noise, error_floor=louder.error_floor, recordings=recordings))
+        if [r.colour for r in own.recordings] == [r.colour for r in recordings]:
+            return each.weighed_as(problem)
+        moved = each._replace(problem=problem).at(each.best.theta)   # of other errors
+        return moved._replace(best=moved.best._replace(slopes=None)).refined()
 
     return {names: same(each) for names, each in found.items()}
 
