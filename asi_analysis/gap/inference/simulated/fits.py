@@ -74,18 +74,28 @@ def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
     if louder is best.problem.group:
         return dict(found)
 
-    def same(each: Found) -> Found:
+    def problem_of(each: Found) -> Posterior:
         own = each.problem.group
         recordings = [replace(r, noise=heard.noise, colour=heard.colour)
                       for r, heard in zip(own.recordings, louder.recordings, strict=True)]
-        problem = replace(each.problem, group=replace(
+        return replace(each.problem, group=replace(
             own, noise=louder.noise, error_floor=louder.error_floor, recordings=recordings))
-        if [r.colour for r in own.recordings] == [r.colour for r in recordings]:
-            return each.weighed_as(problem)
-        moved = each._replace(problem=problem).at(each.best.theta)   # of other errors
-        return moved._replace(best=moved.best._replace(slopes=None)).refined()
 
-    return {names: same(each) for names, each in found.items()}
+    if _colour(louder) == _colour(best.problem.group):
+        return {names: each.weighed_as(problem_of(each)) for names, each in found.items()}
+
+    def again(each: Found, goal: float = math.inf) -> Found:
+        moved = each._replace(problem=problem_of(each)).at(each.best.theta)
+        return moved._replace(best=moved.best._replace(slopes=None)).refined(goal=goal)
+
+    leader = again(best)
+    goal = leader.best.cost + COST_RANGE
+    return {names: leader if each is best else again(each, goal) for names, each in found.items()}
+
+
+def _colour(group: Group) -> list[dict[str, tuple[float, ...]]]:
+    """Return what the errors of a group's recordings are made white with."""
+    return [recording.colour for recording in group.recordings]
 
 
 def with_noise_from_fit(found: Mapping[Names, Found],
