@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -67,12 +68,16 @@ def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'od
     since a jump where they wrap round would ring in all derivatives.
     """
     longer = np.pad(values, pad, 'reflect', reflect_type=reflect_type)
-    fade = np.ones(longer.size)
-    outer = pad // 2
-    fade[:outer] = 0.5 - 0.5 * np.cos(np.pi * np.arange(outer) / max(outer, 1))
-    fade *= fade[::-1]
     middle = 0.5 * (values[0] + values[-1])
-    return np.asarray(middle + fade * (longer - middle))
+    return np.asarray(middle + _fade(longer.size, pad // 2) * (longer - middle))
+
+
+@lru_cache(maxsize=16)
+def _fade(size: int, outer: int) -> Array:
+    """Return the weight of `size` samples, of which the `outer` ones at both ends fade."""
+    fade = np.ones(size)
+    fade[:outer] = 0.5 - 0.5 * np.cos(np.pi * np.arange(outer) / max(outer, 1))
+    return fade * fade[::-1]
 
 
 def first_of(motion: Motion, count: int, period: float) -> Motion:
