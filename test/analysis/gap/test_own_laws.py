@@ -29,7 +29,7 @@ def test_small_effect_is_found_beside_parameters_that_are_off(changed, effect):
 
 
 def test_what_no_law_explains_is_unknown():
-    run = recorded()
+    run = recorded()[:3000]
     ripple = 6.0 * np.sin(2.0 * np.pi * run.position_m / 3e-4)
     assert diagnose([dataclasses.replace(run, force_n=run.force_n + ripple)],
                     TEXTBOOK).verdict == ('unknown',)
@@ -52,7 +52,7 @@ def test_improved_model_of_friction_is_the_machine(damping):
     """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
     run = recorded(friction__model='full', friction__coulomb=20.0, friction__stiction_push=20.0,
                    friction__stiction_pull=20.0, friction__presliding_damping=damping,
-                   valve_characteristic__maximum_force=1100.0)
+                   valve_characteristic__maximum_force=1100.0)[:3000]
     diagnosis = diagnose([run], TEXTBOOK)
     assert diagnosis.verdict == ('coulomb_friction',)
     again = simulate(as_record(improved_of(diagnosis, TEXTBOOK)), run.command_n, run.period_s)
@@ -69,7 +69,7 @@ def test_gain_of_the_valve_goes_with_its_opening():
 
 
 def test_unknown_gap_adds_no_improbable_effect():
-    run = recorded()
+    run = recorded()[:3000]
     uneven = 8.0 * np.sign(np.sin(2.0 * np.pi * run.position_m / 1e-3))
     diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + uneven)], TEXTBOOK)
     assert diagnosis.verdict == ('unknown',)
@@ -78,7 +78,7 @@ def test_unknown_gap_adds_no_improbable_effect():
 
 def test_free_load_is_explained():
     free = {'load.type': 'free'}
-    run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)
+    run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)[:3000]
     assert diagnose([run], {**TEXTBOOK, **free}).verdict == ('sensor_offset',)
 
 
@@ -103,6 +103,6 @@ def test_shares_of_blocks_are_numbers():
     run = recorded(valve_hysteresis__model='full', valve_hysteresis__radius=20.0,
                    valve_hysteresis__lag_time=0.0, valve_hysteresis__saturation=1e6,
                    force_sensor__offset=15.0, backlash__gap=3e-4, friction__model='full',
-                   friction__coulomb=30.0)[:2500]
+                   friction__coulomb=30.0)[:1500]
     shares = [each['share'] for each in document(diagnose([run], TEXTBOOK))['where']]
     assert sum(shares) == pytest.approx(1.0)
