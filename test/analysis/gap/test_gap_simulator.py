@@ -150,7 +150,7 @@ def test_a_longer_sub_step_is_corrected():
 
 def test_the_unchanged_simulator_has_no_gap():
     for noise in (1.0, 0.0):
-        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.5)
+        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.2)
         answer = document(diagnose([run], {'load.type': 'spring'}))
         assert answer['verdict'] == 'no_gap'
         assert answer['unknown_probability'] < 0.2
