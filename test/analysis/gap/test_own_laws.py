@@ -8,7 +8,7 @@ from test_gap import REAL, TEXTBOOK, recorded
 
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
-from asi_analysis.gap.diagnose import diagnose, document, improved_of
+from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.predict import plant_record
@@ -96,13 +96,3 @@ def test_valve_of_the_block_wise_fits_is_the_simulators(values):
     blocks.valve(command, *blocks.parts(p), period, 8, valve)
     simulated = simulate(as_record(values), command, period).valve_position_m
     assert np.std((valve - simulated)[1000:]) < 1e-3 * np.std(simulated)
-
-
-def test_shares_of_blocks_are_numbers():
-    """Without a backlash, what a form of it fixes beside its size is null too."""
-    run = recorded(valve_hysteresis__model='full', valve_hysteresis__radius=20.0,
-                   valve_hysteresis__lag_time=0.0, valve_hysteresis__saturation=1e6,
-                   force_sensor__offset=15.0, backlash__gap=3e-4, friction__model='full',
-                   friction__coulomb=30.0)[:1500]
-    shares = [each['share'] for each in document(diagnose([run], TEXTBOOK))['where']]
-    assert sum(shares) == pytest.approx(1.0)
