@@ -347,6 +347,7 @@ def test_a_parameter_far_beyond_its_tolerance_is_less_likely():
         math.exp(-4.5) * near[parameter] / near[effect])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [
     # The offset hides in which way the load lies in its gap: a pair is fitted again from the
     # triple that found it, without the third.
