@@ -44,6 +44,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
+VALVE_BYTES = tuple((ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
@@ -152,7 +153,8 @@ def _deflection(recording: Recording, p: np.void) -> Array:
         first = found[before.size - 1] if before.size else np.zeros(found.shape[1])
         return np.concatenate([first[None], found[before.size:]])
 
-    key = b''.join(q[name].tobytes() for name in VALVE_FIELDS) + state['flux'].tobytes()
+    whole = q.tobytes()
+    key = b''.join(whole[k:k + 8] for k in VALVE_BYTES) + state['flux'].tobytes()
     return _cached(recording, 'valve', key, run)
 
 
