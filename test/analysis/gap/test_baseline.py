@@ -219,7 +219,7 @@ def test_a_spread_holds_each_recording_alone_and_at_most_the_tolerance():
 
 
 def test_other_signals_than_those_of_the_healthy_recordings_are_refused():
-    short = HEALTHY[0].between(0.0, 5.0)
+    short = HEALTHY[0].between(0.0, 3.0)
     alone = replace(short, command_n=None, reference_n=short.position_m * 1.1,
                     information={'signals': {'position': 'rad', 'reference': 'rad'}})
     with pytest.raises(InputError, match='healthy recordings hold other|nothing to compare'):

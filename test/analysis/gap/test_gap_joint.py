@@ -295,7 +295,8 @@ def sprung(middle: float = 0.0, seed: int = 0, friction: float = 0.1, unit: str 
     ('rad', (0.0, 1.0), {'load.stiffness': 2.2})])
 @pytest.mark.filterwarnings('ignore:.*constant force is subtracted')
 def test_a_spring_is_of_the_nominal_joint_and_friction_is_found_beside_it(unit, middles, given):
-    runs = [sprung(middle, seed, 0.2, unit).between(0.0, 8.0) for seed, middle in enumerate(middles)]
+    runs = [sprung(middle, seed, 0.2, unit).between(0.0, 8.0)
+            for seed, middle in enumerate(middles)]
     with pytest.warns(InputWarning, match='spring') if not given else contextlib.nullcontext():
         answer = document(diagnose(runs, given, 'joint'))
     assert 'coulomb_friction' in answer['ambiguity_set'] and answer['unknown_probability'] < 0.1
