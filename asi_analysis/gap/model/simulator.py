@@ -44,7 +44,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
-VALVE_BYTES = tuple((ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
+VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
