@@ -67,12 +67,12 @@ def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'od
     odd: value and slope are continuous. The outer half of both ends fades to the same value,
     since a jump where they wrap round would ring in all derivatives.
     """
-    longer = _mirrored(values, pad, reflect_type)
+    longer = mirrored(values, pad, reflect_type)
     middle = 0.5 * (values[0] + values[-1])
     return np.asarray(middle + _fade(longer.size, pad // 2) * (longer - middle))
 
 
-def _mirrored(values: Array, pad: int, reflect_type: Literal['even', 'odd']) -> Array:
+def mirrored(values: Array, pad: int, reflect_type: Literal['even', 'odd']) -> Array:
     """Return what np.pad does, which is slow, with 'reflect'."""
     if pad >= values.size or not pad:
         return np.pad(values, pad, 'reflect', reflect_type=reflect_type)

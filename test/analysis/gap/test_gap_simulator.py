@@ -46,11 +46,12 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import judged_error, measured, predict
-from asi_analysis.gap.motion import motion_of, noise_above
+from asi_analysis.gap.motion import mirrored, motion_of, noise_above
 from asi_analysis.gap.prepare import prepare as prepared
 from asi_analysis.gap.sampling import noise_of
 from asi_analysis.gap.words import sentences
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_common.record import copy_of
 
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
 LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisine',
@@ -384,6 +385,22 @@ def test_a_difference_as_small_as_the_simulations_own_error_is_no_evidence(bias,
     chance, _ = weigh(group, {(): found(()), ('valve_bias',): found(
         ('valve_bias',), effect.variants[0])})
     assert (chance[('valve_bias',)] > 0.9) == named
+
+
+@pytest.mark.parametrize('kind', ['even', 'odd'])
+@pytest.mark.parametrize('pad', [0, 1, 99, 100, 250])
+def test_ends_are_mirrored_as_numpy_does(kind, pad):
+    values = np.random.default_rng(1).standard_normal(100)
+    np.testing.assert_array_equal(mirrored(values, pad, kind),
+                                  np.pad(values, pad, 'reflect', reflect_type=kind))
+
+
+def test_a_copy_of_a_record_is_another_one():
+    record = simulator.simulator_record({})
+    copied = copy_of(record)
+    assert copied == record and type(copied) is type(record)
+    copied['load_mass'] = 2.0 * record['load_mass']
+    assert copied['load_mass'] == 2.0 * record['load_mass'] != record['load_mass']
 
 
 def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
