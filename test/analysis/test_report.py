@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
-from asi_analysis.demo import hidden_effect
 from asi_analysis.demo.hidden_effect import HIDDEN, find_hidden_effect
 from asi_analysis.demo.report import compare, write_demo_report
 from asi_analysis.demo.runs import (
@@ -46,9 +45,7 @@ def hidden(tmp_path_factory):
                                   complete.control_rate_hz), source=name,
                    information={'actuator': dict(complete.actuator)})
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hidden_effect, 'DURATION_S', 2.0)   # half of the demo's
-        return find_hidden_effect(record, tmp_path_factory.mktemp('gap'))
+    return find_hidden_effect(record, tmp_path_factory.mktemp('gap'))
 
 
 def test_the_withheld_effect_is_found_and_the_gap_shrinks(hidden):
