@@ -47,7 +47,7 @@ def test_step_of_a_parameter_without_influence_stays_within_its_bounds():
     assert (np.abs(step) <= 0.3).all()
 
 
-@pytest.mark.parametrize('damping', [0.0, 375.7])
+@pytest.mark.parametrize('damping', [pytest.param(0.0, marks=pytest.mark.slow), 375.7])
 def test_improved_model_of_friction_is_the_machine(damping):
     """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
     run = recorded(friction__model='full', friction__coulomb=20.0, friction__stiction_push=20.0,
