@@ -26,6 +26,12 @@ def as_number(parameter: Parameter, value: Value) -> float:
     return float(parameter.choices.index(str(value)) if parameter.choices else value)
 
 
+def copy_of(record: np.void) -> np.void:
+    """Return a copy of a record, much faster than its own method: that copies field by field."""
+    copied: np.void = np.frombuffer(bytearray(record.tobytes()), record.dtype)[0]
+    return copied
+
+
 def record_of(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> np.void:
     """
     Return the record for compiled code: a table's defaults, changed by `values`.

@@ -215,7 +215,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         for group in groups:
             plausibility.check_against_model(group, alike=True)
     if simulated and has_linear_laws(model):
-        laws = by_own_laws(simulated, tick)
+        # Block by block, what is implausible is refused: as early as that is known.
+        laws = by_own_laws(simulated, tick, lambda: plausibility.check_against_model(groups[0]))
         answered = [law.weighed for law in laws]
     elif simulated:
         # The block-wise model needs the measured force, which is small with a free load.

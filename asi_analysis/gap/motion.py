@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -66,13 +67,27 @@ def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'od
     odd: value and slope are continuous. The outer half of both ends fades to the same value,
     since a jump where they wrap round would ring in all derivatives.
     """
-    longer = np.pad(values, pad, 'reflect', reflect_type=reflect_type)
-    fade = np.ones(longer.size)
-    outer = pad // 2
-    fade[:outer] = 0.5 - 0.5 * np.cos(np.pi * np.arange(outer) / max(outer, 1))
-    fade *= fade[::-1]
+    longer = mirrored(values, pad, reflect_type)
     middle = 0.5 * (values[0] + values[-1])
-    return np.asarray(middle + fade * (longer - middle))
+    return np.asarray(middle + _fade(longer.size, pad // 2) * (longer - middle))
+
+
+def mirrored(values: Array, pad: int, reflect_type: Literal['even', 'odd']) -> Array:
+    """Return what np.pad does, which is slow, with 'reflect'."""
+    if pad >= values.size or not pad:
+        return np.pad(values, pad, 'reflect', reflect_type=reflect_type)
+    before, after = values[pad:0:-1], values[-2:-pad - 2:-1]
+    if reflect_type == 'odd':
+        before, after = 2 * values[0] - before, 2 * values[-1] - after
+    return np.concatenate([before, values, after])
+
+
+@lru_cache(maxsize=16)
+def _fade(size: int, outer: int) -> Array:
+    """Return the weight of `size` samples, of which the `outer` ones at both ends fade."""
+    fade = np.ones(size)
+    fade[:outer] = 0.5 - 0.5 * np.cos(np.pi * np.arange(outer) / max(outer, 1))
+    return fade * fade[::-1]
 
 
 def first_of(motion: Motion, count: int, period: float) -> Motion:

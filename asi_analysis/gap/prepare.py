@@ -1,9 +1,9 @@
 """Prepare runs for the diagnosis: the signals that it compares, and parts of the data."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -36,6 +36,7 @@ REST = ('force', 'velocity', 'valve_position')   # signals that are 0 at rest
 AT_REST = 5.0           # a signal is 0 within so many standard deviations of its noise
 START_S = 0.02          # length of the beginning of a recording
 LEAST_PART_S = 1.0      # of a recording that is fitted by itself
+Made = TypeVar('Made')
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,13 @@ class Recording:
     def sub_steps(self, longest_s: float) -> int:
         """Return the number of equal sub-steps of a period, each at most `longest_s` s."""
         return max(1, math.ceil(self.period_s / longest_s - 1e-9))
+
+    def once(self, what: str, make: Callable[[], Made]) -> Made:
+        """Return what is made of period and motion, which are the same in each prediction."""
+        found: Made | None = self.cache.get(what)   # another thread may empty the cache
+        if found is None:
+            found = self.cache[what] = make()
+        return found
 
     @property
     def known(self) -> Mask:

@@ -216,7 +216,7 @@ def run(values, straight):
     load.LINEAR_STEP = straight
     p, state = (np.array([r]).view(np.recarray)[0] for r in (as_record(values), rest()))
     forces = []
-    for k in range(150):
+    for k in range(100):
         forces.append(measure(state, p)[0])
         desired = 1000.0 if k % 60 < 30 else -300.0
         step(state, 15.0 * (desired - forces[-1]), p, 2e-4)

@@ -25,6 +25,7 @@ from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
+from asi_common.record import copy_of
 
 STEP = 1e-3          # of a parameter's range, for finite differences
 PRIOR_WEIGHT = 1.0   # of the deviation from the start by a parameter's range, as a residual
@@ -110,7 +111,7 @@ def _share(parameter: FreeParameter, value: float) -> float:
 def _record(group: Group, free: Sequence[Free], theta: Array,
             fixed: Sequence[tuple[str, float]]) -> np.void:
     """Return the plant's record at a parameter vector (shares of the ranges)."""
-    p = group.nominal.copy()
+    p = copy_of(group.nominal)
     for name, value in fixed:
         p[name] = value
     ratios_last = sorted(zip(free, theta, strict=True),

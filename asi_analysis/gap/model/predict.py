@@ -20,6 +20,7 @@ from asi_analysis.gap.sampling import noise_of_colour, whitened
 from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
+from asi_common.record import copy_of
 
 # Longest sub-steps. Lags are exact for inputs that are linear between samples.
 FORCE_STEP_S = 5e-4
@@ -108,7 +109,7 @@ def _of_recording(p: np.void, number: int) -> np.void:
     """Return a record with the fields of `OF_A_RECORDING` set to those of one recording."""
     if number == 0:
         return p
-    own = p.copy()
+    own = copy_of(p)
     for field in OF_A_RECORDING:
         if field in (p.dtype.names or ()):
             own[field] = p[of_recording(field, number)]

@@ -34,6 +34,7 @@ from asi_analysis.gap.sampling import noise_spectrum
 from asi_analysis.parallel import cores
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
+from asi_common.record import copy_of
 
 # Sub-steps that are tried, the longest first, and their largest integration error (rms), as a
 # share of the rms error floor.
@@ -43,6 +44,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
+VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
@@ -104,7 +106,7 @@ def of_simulator(p: np.void) -> bool:
 
 def _actuator(p: np.void) -> np.void:
     """Return the actuator's own fields of a record."""
-    return np.frombuffer(p.tobytes(), ACTUATOR_DTYPE, 1)[0].copy()
+    return np.frombuffer(bytearray(p.tobytes()), ACTUATOR_DTYPE, 1)[0]
 
 
 def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
@@ -151,7 +153,8 @@ def _deflection(recording: Recording, p: np.void) -> Array:
         first = found[before.size - 1] if before.size else np.zeros(found.shape[1])
         return np.concatenate([first[None], found[before.size:]])
 
-    key = b''.join(q[name].tobytes() for name in VALVE_FIELDS) + state['flux'].tobytes()
+    whole = q.tobytes()
+    key = b''.join(whole[k:k + 8] for k in VALVE_BYTES) + state['flux'].tobytes()
     return _cached(recording, 'valve', key, run)
 
 
@@ -241,7 +244,7 @@ def corrected(recordings: Sequence[Recording], channels: Sequence[str], p: np.vo
 def _predictions(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
                  substep: float) -> list[dict[str, Array]]:
     """Return the predictions with a sub-step (s), uncorrected, by recording and channel."""
-    q = p.copy()
+    q = copy_of(p)
     q['maximum_substep'] = substep
     return [{channel: predict(replace(recording, corrections={}), channel, q)
              for channel in channels} for recording in recordings]
@@ -276,8 +279,10 @@ def _mean_position_error(recording: Recording, position: Array, p: np.void) -> f
         return 0.0
     inner = slice(motion.pad, motion.pad + position.size)
     real, valid = motion.position[inner], recording.valid
-    errors = [math.hypot(recording.noise.get(name, 0.0), POSITION_ERROR * float(np.std(values)))
-              for name, values in (('velocity', motion.velocity[inner]), ('position', real))]
+    sizes = recording.once('sizes', lambda: (
+        float(np.std(motion.velocity[inner])), float(np.std(real))))
+    errors = [math.hypot(recording.noise.get(name, 0.0), POSITION_ERROR * size)
+              for name, size in zip(('velocity', 'position'), sizes, strict=True)]
     off = float(np.mean((position - real)[valid])) / math.sqrt(valid.sum())
     return errors[0] / max(errors[1], 1e-300) * off
 

@@ -97,10 +97,11 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
     state['supply_load'] = np.minimum(opening, 1.0).mean()
     motion = recording.motion
     if motion is not None:
-        position = _first(motion.position[motion.pad:], recording.period_s)
+        position, velocity = recording.once('first', lambda: [
+            _first(each[motion.pad:], recording.period_s)
+            for each in (motion.position, motion.velocity)])
         state['position'] = position * motion.measured + _fitted(recording, p, POSITION)
-        state['velocity'] = (_first(motion.velocity[motion.pad:], recording.period_s)
-                             + _fitted(recording, p, VELOCITY))
+        state['velocity'] = velocity + _fitted(recording, p, VELOCITY)
     state['load_position'], state['load_velocity'] = state['position'], state['velocity']
     holds = max(p[f'friction_{name}'] for name in ('coulomb', 'stiction_push', 'stiction_pull'))
     state['seal'] = _fitted(recording, p, SEAL) * holds / p['friction_presliding_stiffness']

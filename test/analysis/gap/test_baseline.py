@@ -164,7 +164,8 @@ def test_the_same_mean_torque_has_not_changed():
 
 @pytest.mark.filterwarnings('ignore:the servo is of second order')
 def test_a_quicker_servo_is_named_and_the_same_one_has_not_changed():
-    same, quicker = asked(servo(), servo()), asked(servo(pulsation=60.0), servo())
+    healthy, faster = (servo(pulsation=each).between(0.0, 6.0) for each in (40.0, 60.0))
+    same, quicker = asked(healthy, healthy), asked(faster, healthy)
     assert same.verdict == 'no_gap' and same.baseline['change'] == 'none'
     assert quicker.verdict == 'parameter:valve_flexure.natural_frequency'
     assert quicker.which[0]['parameters']['valve_flexure_natural_frequency'] == pytest.approx(
@@ -218,7 +219,8 @@ def test_a_spread_holds_each_recording_alone_and_at_most_the_tolerance():
 
 
 def test_other_signals_than_those_of_the_healthy_recordings_are_refused():
-    alone = replace(HEALTHY[0], command_n=None, reference_n=HEALTHY[0].position_m * 1.1,
+    short = HEALTHY[0].between(0.0, 3.0)
+    alone = replace(short, command_n=None, reference_n=short.position_m * 1.1,
                     information={'signals': {'position': 'rad', 'reference': 'rad'}})
     with pytest.raises(InputError, match='healthy recordings hold other|nothing to compare'):
         asked(HEALTHY[0], alone)

@@ -65,6 +65,7 @@ def test_joint_with_coulomb_friction(tmp_path):
 
 
 @needs_data
+@pytest.mark.slow
 def test_press_with_lag_and_dead_time(tmp_path):
     runs = [press(f'actuator_chirp_damper_{current}.txt.gz') for current in ('0A', '1A')]
     diagnosis = diagnose(runs, {}, 'joint', held_out=[False, True])

@@ -46,11 +46,12 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import judged_error, measured, predict
-from asi_analysis.gap.motion import motion_of, noise_above
+from asi_analysis.gap.motion import mirrored, motion_of, noise_above
 from asi_analysis.gap.prepare import prepare as prepared
 from asi_analysis.gap.sampling import noise_of
 from asi_analysis.gap.words import sentences
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_common.record import copy_of
 
 NOISE = {'force_n': 1.0, 'valve_position_m': 1e-7, 'position_m': 2e-6, 'velocity_m_s': 5e-4}
 LOOP = {'compensator': 'proportional', 'gain': 3.0, 'reference.shape': 'multisine',
@@ -150,7 +151,7 @@ def test_a_longer_sub_step_is_corrected():
 
 def test_the_unchanged_simulator_has_no_gap():
     for noise in (1.0, 0.0):
-        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.5)
+        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.2)
         answer = document(diagnose([run], {'load.type': 'spring'}))
         assert answer['verdict'] == 'no_gap'
         assert answer['unknown_probability'] < 0.2
@@ -209,7 +210,8 @@ LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.sti
     ({}, 'no_gap'), pytest.param(LEVEL, 'coulomb_friction', marks=pytest.mark.slow)])
 def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict):
     """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
-    answer = document(diagnose([recorded(BOOK | more)], {'load.type': 'spring'}))
+    run = recorded(BOOK | more, duration_s=1.5 if verdict == 'no_gap' else 2.5)
+    answer = document(diagnose([run], {'load.type': 'spring'}))
     assert answer['verdict'] == verdict and answer['probability'] > 0.6
 
 
@@ -224,8 +226,7 @@ def null_behind_valve(run, nominal):
 def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
     """Both within what is not known of a machine: its parameters stay as probable as they are."""
     nominal = {'load.type': 'spring'}
-    run = recorded({**nominal, 'hydraulic_damping.tail': 0.6, 'force_sensor.gain': 0.87},
-                   duration_s=4.0)
+    run = recorded({**nominal, 'hydraulic_damping.tail': 0.6, 'force_sensor.gain': 0.87})
     null = null_behind_valve(run, nominal)
     assert not null.may_lack_an_effect and null.prior_cost < 4.0
     assert null.as_fitted.values['force_sensor_gain'] == pytest.approx(0.87, rel=0.03)
@@ -234,7 +235,8 @@ def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
 def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
     """Although errors of nominal parameters could imitate it nearly as well."""
     nominal = {'load.type': 'spring'}
-    run = recorded({**nominal, 'hydraulic_damping.saturation_velocity': 0.05}, noise=0.0)
+    run = recorded({**nominal, 'hydraulic_damping.saturation_velocity': 0.05}, noise=0.0,
+                   duration_s=1.2)
     null = null_behind_valve(run, nominal)
     found = search.changed_alone(null, lambda: None)
     assert 'hydraulic_damping' in {each.names[0] for each in found}
@@ -332,7 +334,7 @@ def test_other_laws_keep_their_model_error_in_a_quiet_recording():
     """Their error floor is not what the best hypothesis leaves; else the data were ignored."""
     nominal = {'load.type': 'spring'}
     run = recorded({**nominal, 'valve_hysteresis.rounding': 1.0, 'valve_flexure.bias': 12.0},
-                   noise=0.02)
+                   noise=0.02, duration_s=1.5)
     group = simulator_group(simulator.simulator_record(nominal), prepared([run]), ('valve',))
     weighed, = explained_by_simulator([group], lambda: None)
     assert weighed.probability[('valve_bias',)] > 0.9
@@ -383,6 +385,22 @@ def test_a_difference_as_small_as_the_simulations_own_error_is_no_evidence(bias,
     chance, _ = weigh(group, {(): found(()), ('valve_bias',): found(
         ('valve_bias',), effect.variants[0])})
     assert (chance[('valve_bias',)] > 0.9) == named
+
+
+@pytest.mark.parametrize('kind', ['even', 'odd'])
+@pytest.mark.parametrize('pad', [0, 1, 99, 100, 250])
+def test_ends_are_mirrored_as_numpy_does(kind, pad):
+    values = np.random.default_rng(1).standard_normal(100)
+    np.testing.assert_array_equal(mirrored(values, pad, kind),
+                                  np.pad(values, pad, 'reflect', reflect_type=kind))
+
+
+def test_a_copy_of_a_record_is_another_one():
+    record = simulator.simulator_record({})
+    copied = copy_of(record)
+    assert copied == record and type(copied) is type(record)
+    copied['load_mass'] = 2.0 * record['load_mass']
+    assert copied['load_mass'] == 2.0 * record['load_mass'] != record['load_mass']
 
 
 def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
@@ -552,7 +570,7 @@ def test_one_parameter_far_beyond_its_tolerance_is_not_taken_for_laws_of_another
 def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     nominal = {'load.type': 'spring'}
     machine = {**nominal, 'friction.coulomb': 25.0}
-    diagnosis = diagnose([recorded(machine)], nominal)
+    diagnosis = diagnose([recorded(machine, duration_s=1.5)], nominal)
     assert diagnosis.verdict == ('coulomb_friction',)
     values, missing = improved_model(
         nominal, [diagnosis.best(weighed).fitted.record for weighed in diagnosis.groups])

@@ -38,7 +38,8 @@ def test_cases_of_joints_are_written_and_judged(tmp_path):
 
 
 @pytest.mark.parametrize(('seed', 'effect', 'field', 'truth'), [
-    (300113, 'backlash', 'backlash', 'gap'),                          # it rattles
+    pytest.param(300113, 'backlash', 'backlash', 'gap',
+                 marks=pytest.mark.slow),                             # it rattles
     (300174, 'command_quantisation', 'command_quantum', 'quantum'),   # its steps have any origin
     pytest.param(310027, 'command_quantisation', 'command_quantum', 'quantum',
                  marks=pytest.mark.slow),                             # coarse, of a quick servo

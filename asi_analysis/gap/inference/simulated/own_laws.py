@@ -50,17 +50,21 @@ class OwnLaws(NamedTuple):
         return weighed._replace(probability={**chance, (): 0.0})
 
 
-def by_own_laws(groups: Sequence[Group], tick: Callable[[], None]) -> list[OwnLaws]:
+def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
+                refuse: Callable[[], object] = bool) -> list[OwnLaws]:
     """
     Return, for each group, whether the simulator's own laws explain it, with one effect at most.
 
     For a simplified nominal model. Its laws are linear, so a machine's are the same, but effects
     may be formulated in another way than the simulator's; then the block-wise fits are asked.
-    groups: as in `explained_by_simulator`.
+    groups: as in `explained_by_simulator`; refuse: called as soon as the first is not explained,
+    to raise an error if other fits would not explain it either.
     """
     valve, *others = groups
     valve, gain = with_free_gain(valve) if others else (valve, None)
     first, fitted, valve = _own_laws(valve, tick)
+    if first.weighed is None:
+        refuse()
     rest = [_own_laws(with_simulated_valve(with_noise_of_valve(each, valve), fitted, gain),
                       tick)[0] for each in others]
     if any(law.weighed is None and gain_is_off(fitted, each, gain)
