@@ -1,7 +1,7 @@
 """Uniform sampling of a run: missing samples, the noise of a signal, clipped samples."""
 
 import math
-from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import lfilter
@@ -40,7 +40,7 @@ def noise_of(signal: Array) -> float:
     return white
 
 
-def noise_spectrum(frequency: Array, colour: Sequence[float]) -> Array:
+def noise_spectrum(frequency: Array, colour: tuple[float, ...]) -> Array:
     """
     Return the power density of noise over that of white noise with the same variance.
 
@@ -49,19 +49,20 @@ def noise_spectrum(frequency: Array, colour: Sequence[float]) -> Array:
     return 1.0 / (gain_of_noise(colour) * np.abs(_whitener(frequency, colour)) ** 2)
 
 
-def gain_of_noise(colour: Sequence[float]) -> float:
+@lru_cache(maxsize=16)
+def gain_of_noise(colour: tuple[float, ...]) -> float:
     """Return the variance of autoregressive noise over that of the white noise that drives it."""
     return float(np.mean(np.abs(_whitener(CIRCLE, colour)) ** -2))
 
 
-def noise_of_colour(count: int, colour: Sequence[float], random: np.random.Generator) -> Array:
+def noise_of_colour(count: int, colour: tuple[float, ...], random: np.random.Generator) -> Array:
     """Return autoregressive noise with the variance 1, from its steady state."""
     white = random.standard_normal(count + SETTLING)
     return lfilter([1.0], [1.0, *(-each for each in colour)], white)[SETTLING:] / math.sqrt(
         gain_of_noise(colour))
 
 
-def whitened(error: Array, valid: Mask, colour: Sequence[float]) -> Array:
+def whitened(error: Array, valid: Mask, colour: tuple[float, ...]) -> Array:
     """Return an error whose noise has this colour, with white noise of the same variance."""
     index = np.arange(error.size)
     bridged = np.interp(index, index[valid], error[valid])
@@ -69,7 +70,7 @@ def whitened(error: Array, valid: Mask, colour: Sequence[float]) -> Array:
         [1.0, *(-each for each in colour)], [1.0], bridged)
 
 
-def _whitener(frequency: Array, colour: Sequence[float]) -> Complex:
+def _whitener(frequency: Array, colour: tuple[float, ...]) -> Complex:
     """Return the response of the filter that makes autoregressive noise white."""
     return np.polynomial.polynomial.polyval(
         np.exp(-2j * np.pi * frequency), [1.0, *(-each for each in colour)])

@@ -214,7 +214,7 @@ def _sign(signal: Array) -> Array:
     return np.clip(signal / (SMALL * np.abs(signal).max() + 1e-300), -1.0, 1.0)
 
 
-def _resembles(signal: Array, causes: Array, variance: float, colour: Sequence[float]) -> bool:
+def _resembles(signal: Array, causes: Array, variance: float, colour: tuple[float, ...]) -> bool:
     """
     Return whether noise of this variance and colour hardly ever resembles a cause so much.
 
