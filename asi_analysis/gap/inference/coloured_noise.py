@@ -28,7 +28,7 @@ LOUDER = 1.2   # times the estimated power: less is its uncertainty
 HARDLY_EVER, EDGE = 4.5, 10
 # What is left of noise after a sample, at most: a slower course may be a disturbance.
 STRONGEST = 0.99
-LAGS = 32   # samples before, of which noise does not follow the command
+LAGS = 32   # commands before, of which noise is independent
 ORDERS = (1, 2, 4, 8, 16, LAGS)   # of autoregressions, one after the other
 # White noise of this share of the residual (power) is added: what is weaker is not tested. What a
 # filter of a sensor leaves far above its band would take an endless autoregression.
@@ -36,11 +36,12 @@ DITHER = 0.1
 # If a residual is not noise alone, noise is sought above these shares of the band.
 LOWEST = (1.0 / 16.0, 1.0 / 8.0, 1.0 / 4.0)
 TAPERED = 0.1   # of the samples, at both ends together
-COMMON = 0.3   # of the strongest course of a command: others that are as strong
+COMMON = 0.3   # of the strongest course (principal component) of the commands before: others count
 SMALL = 0.1    # of the largest value of a signal: below, its sign may be that of its noise
 # Samples that are used: fewer hold too little, more of a recording take too much memory.
 SHORTEST, MOST = 16 * EDGE, 2 ** 16
-NOT_WHITE = 'the noise of the {} is not white. Its level and spectrum are those of what is left'
+NOT_WHITE = ('the noise of the {} is not white: its level and spectrum are those of what the '
+             'model leaves')
 # The recorded signal of a channel, with its noise alone.
 SIGNALS = {'valve': 'valve_position', 'force': 'force', 'velocity': 'velocity',
            'position': 'position'}
@@ -199,7 +200,7 @@ def _follows(signal: Array, commands: Array, share: float = 1.0) -> bool:
 
 
 def _causes(commands: Array, velocities: Array) -> Array:
-    """Return what a residual resembles that is no noise: (n, m), without means."""
+    """Return what a residual that is no noise may resemble: (n, m), without means."""
     course, strength, _ = np.linalg.svd(commands, full_matrices=False)
     causes = [course[:, strength > COMMON * strength[0]]]
     for now, before in ((each[:, :1], each[:, LAGS // 4:LAGS // 4 + 1])
@@ -246,7 +247,8 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
             continue
         louder = [replace(r, noise=r.noise | {name: math.sqrt(found.variance)}, cache={},
                           colour=r.colour | {name: found.colour}) for r in recordings]
-        level = min(_mean_square(replace(group, recordings=louder), channel, p), found.variance)
+        level = min(_mean_square(replace(group, recordings=louder), channel, p),
+                    max(found.variance, before))
         noise[channel] = math.sqrt(max(
             noise[channel] ** 2 + (1.0 - found.unsure) * (level - before),
             noise[channel] ** 2 * level / before))

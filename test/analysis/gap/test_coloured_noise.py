@@ -87,6 +87,15 @@ def test_noise_is_recognised_whatever_its_kind(kind, count):
     assert half == pytest.approx(power.mean(), rel=0.3)
 
 
+@pytest.mark.parametrize('kind', [0.8, *KINDS])
+def test_units_and_origins_do_not_matter(kind):
+    signal, command = noise(kind, 4000), np.random.default_rng(6).standard_normal(4000)
+    found = found_in(signal, command)
+    again = found_in(1e-7 * signal + 3e-6, 1e4 * command - 5e5)
+    assert again.variance == pytest.approx(1e-14 * found.variance, rel=1e-6)
+    assert again.colour == pytest.approx(found.colour, rel=1e-4, abs=1e-6)
+
+
 def test_samples_that_are_lost_do_not_matter():
     signal = noise('a low-pass of 100 Hz', 8000)
     valid = np.arange(signal.size) % 500 >= 20
