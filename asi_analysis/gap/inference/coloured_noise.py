@@ -29,6 +29,7 @@ HARDLY_EVER, EDGE = 4.5, 10
 # What is left of noise after a sample, at most: a slower course may be a disturbance.
 STRONGEST = 0.99
 LAGS = 32   # commands before, of which noise is independent
+EARLIER = slice(LAGS // 4, LAGS // 4 + 1)   # the sample before, for the change of a signal
 ORDERS = (1, 2, 4, 8, 16, LAGS)   # of autoregressions, one after the other
 # White noise of this share of the residual (power) is added: what is weaker is not tested. What a
 # filter of a sensor leaves far above its band would take an endless autoregression.
@@ -79,7 +80,10 @@ def noise_of_residual(residuals: Sequence[Residual]) -> Noise | None:
       8.2.5), each frequency by its own standard deviation (Anderson and Darling 1952), which has
       neither lines, as of a periodic signal, nor is smooth, as of a chirp;
     - normal, by its fourth moment: a force that jumps now and then has the spectrum of noise;
-    - independent of the commands before (Ljung, System Identification, 2nd ed., 16.6).
+    - independent of the commands before (Ljung, System Identification, 2nd ed., 16.6), and as
+      strong whatever command and velocity do.
+
+    Nor does it resemble the command or the velocity.
 
     If it is not, noise of first order is sought above some frequency. Below, what a model fails to
     explain is added to the noise.
@@ -105,6 +109,7 @@ def _of_any_order(residuals: Sequence[Residual]) -> Noise | None:
         lasting = np.abs(np.roots([1.0, *(-each for each in colour)])).max() > STRONGEST
         if (not lasting and _is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
                 and not _follows(fresh, commands[:, 1:])
+                and not _varies(fresh, commands, velocities)
                 and not _resembles(errors[:, 0], _causes(commands, velocities),
                                    fresh.var() * gain_of_noise(colour), colour)):
             return Noise(colour, float(variance))
@@ -199,12 +204,22 @@ def _follows(signal: Array, commands: Array, share: float = 1.0) -> bool:
     return bool(explained * share * signal.size > rank + HARDLY_EVER * math.sqrt(2.0 * rank))
 
 
+def _varies(fresh: Array, commands: Array, velocities: Array) -> bool:
+    """Return whether a signal is stronger at some values or changes of command and velocity."""
+    power = fresh ** 2 - np.mean(fresh ** 2)
+    causes = np.hstack([size ** exponent for each in (commands, velocities)
+                        for size in np.abs([each[:, :1], each[:, :1] - each[:, EARLIER]])
+                        for exponent in (1, 2)])
+    causes -= causes.mean(axis=0)
+    chance = HARDLY_EVER * power.std() * np.sqrt(np.sum(causes ** 2, axis=0))
+    return bool(np.any(np.abs(causes.T @ power) > chance))
+
+
 def _causes(commands: Array, velocities: Array) -> Array:
     """Return what a residual that is no noise may resemble: (n, m), without means."""
     course, strength, _ = np.linalg.svd(commands, full_matrices=False)
     causes = [course[:, strength > COMMON * strength[0]]]
-    for now, before in ((each[:, :1], each[:, LAGS // 4:LAGS // 4 + 1])
-                        for each in (commands, velocities)):
+    for now, before in ((each[:, :1], each[:, EARLIER]) for each in (commands, velocities)):
         causes += [now, now ** 2, now * np.abs(now), _sign(now), _sign(now - before)]
     joined = np.hstack(causes)
     return joined - joined.mean(axis=0)
