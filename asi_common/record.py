@@ -1,6 +1,6 @@
 """Conversion of a table of parameters to a NumPy record for compiled code."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -30,6 +30,14 @@ def copy_of(record: np.void) -> np.void:
     """Return a copy of a record, much faster than its own method: that copies field by field."""
     copied: np.void = np.frombuffer(bytearray(record.tobytes()), record.dtype)[0]
     return copied
+
+
+def with_fields(record: np.void, names: Iterable[str]) -> np.void:
+    """Return a record with further fields of type float64 at its end, all 0."""
+    added = np.dtype([(name, np.float64) for name in names])
+    wide: np.void = np.frombuffer(bytearray(record.tobytes() + bytes(added.itemsize)),
+                                  np.dtype(record.dtype.descr + added.descr))[0]
+    return wide
 
 
 def record_of(values: Mapping[str, Value], table: tuple[Parameter, ...]) -> np.void:

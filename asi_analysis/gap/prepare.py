@@ -67,6 +67,9 @@ class Recording:
     # sub-step.
     corrections: dict[str, Array] = field(default_factory=dict)
     corrected_substep_s: float = 0.0
+    # What each error of the valve's fit, of a standard deviation, changes of the simulator's
+    # predictions behind it: n x k, by channel.
+    valve_errors: dict[str, Array] = field(default_factory=dict)
     # What the nominal model of a joint has removed: gravity_sine and gravity_cosine Nm, constant
     # N; or the fields of its `Servo`.
     taken: Mapping[str, float] = field(default_factory=dict)
@@ -114,7 +117,8 @@ def first_of_recording(recording: Recording, share: float) -> Recording:
     return replace(
         recording, **cut | {
             'cache': {}, 'motion': motion and first_of(motion, count, recording.period_s),
-            'corrections': {name: first(each) for name, each in recording.corrections.items()}})
+            **{name: {channel: first(each) for channel, each in getattr(recording, name).items()}
+               for name in ('corrections', 'valve_errors')}})
 
 
 def velocity_of(recording: Recording) -> Array | None:

@@ -255,18 +255,21 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
         if name in recordings[0].colour and left < before:
             floor[channel] = left
             noise[channel] *= math.sqrt(left / before)
-        if left <= LOUDER * before:
+        known = recordings[0].noise[name] ** 2 if name in recordings[0].colour else 0.0
+        if left <= LOUDER * before and not known:
             continue
+        # Of noise that is known, a worse hypothesis may have shown only what is above some
+        # frequency.
         found = noise_of_residual([_residual(r, channel, p) for r in group.recordings])
-        if found is None:
+        if found is None or (found.unsure and found.variance <= LOUDER * known):
             continue
         louder = [replace(r, noise=r.noise | {name: math.sqrt(found.variance)}, cache={},
                           colour=r.colour | {name: found.colour}) for r in recordings]
         level = min(_mean_square(replace(group, recordings=louder), channel, p),
                     max(found.variance, before))
-        noise[channel] = math.sqrt(max(
-            noise[channel] ** 2 + (1.0 - found.unsure) * (level - before),
-            noise[channel] ** 2 * level / before))
+        model_error = 0.0 if known else before - noise[channel] ** 2
+        noise[channel] = math.sqrt(max((1.0 - found.unsure) * level - model_error,
+                                       noise[channel] ** 2 * min(level / before, 1.0)))
         floor[channel], recordings = level, louder
     if floor == group.error_floor:
         return group

@@ -98,6 +98,7 @@ class Group:
     # Of the simulator, if the valve was fitted before: its position per command, m/N. It ties the
     # valve's gain to full opening and maximum force, which the force shows.
     valve_gain: float | None = None
+    only_noise_of_valve: bool = False   # is left by that fit: its position is the simulated one
     exact_substep_s: float = 0.0   # sub-step of the simulator that needs no correction
     floor_measured: bool = False   # the error floor is the residual of healthy recordings
     floor_by_best: bool = False    # the best residual limits the model error
@@ -252,29 +253,6 @@ def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:
                    usual_shapes=tuple(map(tolerated, group.usual_shapes)))
 
 
-def with_simulated_valve(group: Group, valve: np.void, gain: Free | None = None) -> Group:
-    """
-    Return a group with the valve parameters of a record, and a less noisy valve position.
-
-    The position is the simulated one, plus that part of its residual which is above the noise.
-    gain: the uncertain gain of the valve, if it is to be a parameter of this group.
-    """
-    p = group.nominal.copy()
-    for name in p.dtype.names or ():
-        if _is_of_valve(name) and name not in OF_VALVE_GAIN:
-            p[name] = valve[name]
-    if gain is not None and gain.field not in {free.field for free in group.nuisance}:
-        group = replace(group, nuisance=(*group.nuisance, gain))
-    group = replace(group, nominal=p, given=group.nominal,
-                    valve_gain=simulator.metres_per_newton(valve))
-    recordings = [replace(prepared_for(group, r), corrections={}, cache={})
-                  for r in group.recordings]
-    recordings, p['maximum_substep'] = simulator.with_corrections(
-        recordings, group.channels, with_valve_gain(group, p), group.error_floor,
-        group.exact_substep_s)
-    return replace(group, recordings=recordings)
-
-
 def with_valve_gain(group: Group, p: np.void) -> np.void:
     """Return a record with the gain of the valve that gives the position which was measured."""
     if group.valve_gain is None:
@@ -323,6 +301,8 @@ def prepared_for(group: Group, recording: Recording) -> Recording:
         return _with_less_noisy_valve(recording, group.valve)
     if not simulator.of_simulator(group.nominal):
         return recording
+    if group.only_noise_of_valve:
+        return replace(recording, valve_estimate=None)
     return replace(recording, valve_estimate=simulator.estimated_valve(
         recording, exact(group, with_valve_gain(group, group.nominal))))
 
@@ -438,7 +418,8 @@ def _formulation_error(recordings: Sequence[Recording], channel: str, p: np.void
     return error
 
 
-def _is_of_valve(field: str) -> bool:
+def is_of_valve(field: str) -> bool:
+    """Return whether the simulated position of the valve depends on a parameter."""
     return field in simulator.VALVE_FIELDS or field.partition('@')[0] == FLUX
 
 
@@ -488,7 +469,7 @@ def acts_on(field: str, channel: str, group: Group) -> bool:
     if simulator.of_simulator(group.nominal):
         if field == VALVE_GAIN and group.valve_gain is not None:
             return channel == 'force'
-        if _is_of_valve(field) and field not in forms.UNCERTAIN['force']:
+        if is_of_valve(field) and field not in forms.UNCERTAIN['force']:
             return channel == 'valve' or not group.measures_valve
         return channel == 'force' or (channel in MOTIONS and (
             not field.startswith('force_sensor_')))

@@ -20,7 +20,7 @@ from asi_analysis.gap.sampling import noise_of_colour, whitened
 from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
-from asi_common.record import copy_of
+from asi_common.record import copy_of, with_fields
 
 # Longest sub-steps. Lags are exact for inputs that are linear between samples.
 FORCE_STEP_S = 5e-4
@@ -97,9 +97,7 @@ def for_recordings(p: np.void, count: int) -> np.void:
         return p
     names = [(field, of_recording(field, number)) for number in range(1, count)
              for field in OF_A_RECORDING if field in (p.dtype.names or ())]
-    wide = np.zeros(1, np.dtype(p.dtype.descr + [(own, np.float64) for _, own in names]))[0]
-    for name in p.dtype.names or ():
-        wide[name] = p[name]
+    wide = with_fields(p, [own for _, own in names])
     for field, own in names:
         wide[own] = p[field]
     return wide

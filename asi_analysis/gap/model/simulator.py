@@ -26,6 +26,7 @@ from asi_actuator.model.actuator import (
 from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
 from asi_analysis.arrays import Array
+from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_start
 from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
@@ -34,7 +35,7 @@ from asi_analysis.gap.sampling import noise_spectrum
 from asi_analysis.parallel import cores
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
-from asi_common.record import copy_of
+from asi_common.record import copy_of, with_fields
 
 # Sub-steps that are tried, the longest first, and their largest integration error (rms), as a
 # share of the rms error floor.
@@ -47,6 +48,7 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
 VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
+MOST_ERROR = 6.0   # of the valve's fit, standard deviations
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
 LEAST_SHARE = 0.5   # gain of the Wiener filter below which all power is taken for noise
 
@@ -205,6 +207,17 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
     return _cached(recording, 'motion', _actuator(p).tobytes() + own, run)
 
 
+def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]]:
+    """Return a record with errors of the valve's fit, in standard deviations, and these free."""
+    return with_fields(p, _errors(count)), tuple(
+        Free(name, -MOST_ERROR, MOST_ERROR, (0.0,), prior=1.0) for name in _errors(count))
+
+
+def _errors(count: int) -> list[str]:
+    """Return the fields of the errors of the valve's fit."""
+    return [f'valve_error_{number}' for number in range(count)]
+
+
 def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
                      floor: Mapping[str, float], shortest: float
                      ) -> tuple[list[Recording], float]:
@@ -254,6 +267,9 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
     longer = p['maximum_substep'] == recording.corrected_substep_s
     correction = recording.corrections.get(channel, 0.0) if longer else 0.0
+    if channel in recording.valve_errors:
+        changes = recording.valve_errors[channel]
+        correction = correction + changes @ [p[name] for name in _errors(changes.shape[1])]
     if channel == 'valve':
         return simulated_valve(recording, p) + correction
     force, velocity, position = simulated_motion(recording, p)

@@ -17,6 +17,7 @@ from asi_analysis.gap.model.effects import Free, of_recording
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import START_S, Recording
 from asi_common.jit import FULL
+from asi_common.record import with_fields
 
 # Flux as a share of the hysteresis's half width, seal's deflection as a share of its largest; m;
 # m/s.
@@ -32,10 +33,7 @@ def with_start_fields(p: np.void, recordings: Sequence[Recording]) -> np.void:
     """Return a record with the fields of the initial state, if a recording begins in motion."""
     if all(recording.at_rest for recording in recordings):
         return p
-    wide = np.zeros(1, np.dtype(p.dtype.descr + [(name, np.float64) for name in START_FIELDS]))[0]
-    for name in p.dtype.names or ():
-        wide[name] = p[name]
-    return wide
+    return with_fields(p, START_FIELDS)
 
 
 def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequence[str]

@@ -1,6 +1,7 @@
 """Noise that is not white: told from a gap, and as strong as it is."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
 from asi_analysis.gap.inference.coloured_noise import (
     Residual,
+    _mean_square,
     noise_of_residual,
     with_coloured_noise,
 )
@@ -57,11 +59,12 @@ def telegraph(count):
     return np.where(np.cumsum(np.random.default_rng(5).random(count) < 0.02) % 2, 1.0, -1.0)
 
 
-def recorded(machine, colour):
+def recorded(machine, colour, seed=0):
     """Return 3 s of the simulator at 1 kHz, with noise of this colour."""
     signals = simulate_loop(machine, LOOP, 3.0, 1000.0)._asdict()
-    for seed, (name, level) in enumerate(LEVEL.items()):
-        signals[name] = signals[name] + level * noise(colour, signals[name].size, seed)
+    for number, (name, level) in enumerate(LEVEL.items()):
+        own = noise(colour, signals[name].size, 10_000 + 10 * seed + number)
+        signals[name] = signals[name] + level * own
     del signals['reference_n']
     return Run(**signals)
 
@@ -180,13 +183,27 @@ def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
     assert math.sqrt(with_coloured_noise(group, p).error_floor['valve']) < 2.2e-7
 
 
-@pytest.mark.parametrize(('colour', 'deadband', 'verdict'), [
-    (0.85, 0.0, ''), ('a low-pass of 100 Hz', 0.0, ''),
-    # It leaves 0.4 of the noise, in the valve position.
-    (0.9, 20.0, 'valve_deadband'), ('slow and white', 20.0, 'valve_deadband')])
-def test_coloured_noise_is_no_gap_and_hides_none(colour, deadband, verdict):
+def test_noise_is_no_more_than_what_is_left():
+    """Of a motion, whose noise may be strong outside of its band."""
+    run = recorded(LINEAR, 0.9)
+    p = simulator.simulator_record(LINEAR)
+    group = simulator_group(p, prepared([run]), ('force', 'velocity'), linear=True)
+    left = _mean_square(group, 'velocity', p)
+    group = replace(group, error_floor={'force': 1e6, 'velocity': left / 1.3},
+                    noise=group.noise | {'velocity': math.sqrt(left / 1.3)})
+    found = with_coloured_noise(group, p)
+    assert found.error_floor['velocity'] < group.error_floor['velocity']
+    assert found.noise['velocity'] ** 2 <= 1.001 * found.error_floor['velocity']
+
+
+# Valve position, force, velocity and position of each seed have noise of their own. With seeds 8,
+# 10 and 42, errors of the valve's fit were taken for viscous friction, or noise for a gap.
+@pytest.mark.parametrize(('colour', 'deadband', 'seed'), [
+    (0.0, 0.0, 8), (0.5, 0.0, 8), (0.85, 0.0, 1), ('a low-pass of 100 Hz', 0.0, 1),
+    (0.9, 20.0, 10), (0.9, 20.0, 42), ('slow and white', 20.0, 1)])
+def test_coloured_noise_is_no_gap_and_hides_none(colour, deadband, seed):
     effect = {'valve_flexure.deadband': deadband}
-    found = diagnose([recorded(LINEAR | effect, colour)], LINEAR)
-    assert '+'.join(found.verdict) == verdict
+    found = diagnose([recorded(LINEAR | effect, colour, seed)], LINEAR)
+    assert found.verdict == (('valve_deadband',) if deadband else ())
     assert marginals(found.joined)['unknown'] < 0.2
-    assert any('noise of the valve position' in note for note in found.notes)
+    assert any('noise of the valve position' in note for note in found.notes) == (colour != 0.0)

@@ -414,7 +414,7 @@ def test_what_follows_a_valve_is_not_fitted_if_the_valve_is_refused(monkeypatch)
     """The simulator's own laws are asked first; they do not explain such a valve."""
     fitted = []
     monkeypatch.setattr(own_laws, '_own_laws', lambda group, tick: fitted.append(group) or (
-        own_laws.OwnLaws(None, True), group.nominal, group))
+        own_laws.OwnLaws(None, True), None, None))
     with pytest.raises(InputError, match='valve_position.*not correlated'):
         diagnose([of_another_valve()], TEXTBOOK)
     assert [group.channels for group in fitted] == [('valve',)]

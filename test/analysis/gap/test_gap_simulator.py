@@ -26,6 +26,7 @@ from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
 from asi_analysis.gap.inference.simulated import fits, search
+from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
@@ -42,7 +43,6 @@ from asi_analysis.gap.model.group import (
     simulator_group,
     with_less_noisy_valve,
     with_lower_noise,
-    with_simulated_valve,
 )
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import judged_error, measured, predict
@@ -643,7 +643,7 @@ def groups_of(monkeypatch, valve, behind):
     monkeypatch.setattr(search, 'weighed_of', lambda found, alone, other: 'of other laws')
     monkeypatch.setattr(search, 'most_probable_of', lambda weighed: SimpleNamespace(
         fitted=SimpleNamespace(record=None)))
-    monkeypatch.setattr(search, 'with_simulated_valve', lambda group, record, gain: group)
+    monkeypatch.setattr(search, 'behind_valve', lambda group, valve, gain: group)
     monkeypatch.setattr(search, 'with_noise_of_valve', lambda group, valve: group)
     monkeypatch.setattr(search, 'with_free_gain', lambda group: (group, None))   # it is certain
     return explained_by_simulator([SimpleNamespace(channels=('valve',)),

@@ -11,7 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_analysis.gap.inference.coloured_noise import with_noise_of_valve
+from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit, with_noise_left
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
@@ -23,7 +25,7 @@ from asi_analysis.gap.inference.simulated.search import (
     with_free_gain,
 )
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.group import Group, with_simulated_valve
+from asi_analysis.gap.model.group import Group
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
 # formulated in another way; and the power, over what noise and model error explain, that is a gap.
@@ -62,29 +64,29 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
     """
     valve, *others = groups
     valve, gain = with_free_gain(valve) if others else (valve, None)
-    first, fitted, valve = _own_laws(valve, tick)
+    first, fitted, best = _own_laws(valve, tick)
     if first.weighed is None:
         refuse()
-    rest = [_own_laws(with_simulated_valve(with_noise_of_valve(each, valve), fitted, gain),
-                      tick)[0] for each in others]
-    if any(law.weighed is None and gain_is_off(fitted, each, gain)
+    rest = [_own_laws(behind_valve(with_noise_of_valve(each, best.problem.group), fitted, gain,
+                                   not best.unexplained), tick)[0] for each in others]
+    if any(law.weighed is None and gain_is_off(fitted.record, each, gain)
            for law, each in zip(rest, others, strict=True)):
         first = first._replace(weighed=None)   # the gain is judged with the valve, block by block
     # Of a valve that they do not explain, the position is not known well enough to blame the rest.
     return [first, *(each._replace(gap=each.gap and first.weighed is not None) for each in rest)]
 
 
-def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, np.void, Group]:
-    """Return what the simulator's own laws say of a group; the best fit's record and group."""
+def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, Found]:
+    """Return what the simulator's own laws say of a group; the most probable and best fit."""
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
     found = with_noise_left(single_effects(null, tick, True))
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
-        return OwnLaws(None, gap), best.as_fitted.record, best.problem.group
+        return OwnLaws(None, gap), best.as_fitted, best
     weighed = weighed_of(in_formulation(found, True), True)
     fitted = best.as_fitted if weighed is None else most_probable_of(weighed).fitted
-    return OwnLaws(weighed, gap), fitted.record, best.problem.group
+    return OwnLaws(weighed, gap), fitted, best
 
 
 def _mostly_explains(found: Found, null: Found) -> bool:

@@ -32,6 +32,7 @@ from asi_analysis.gap.inference.posterior import (
     of_first_part,
 )
 from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     at_values_of,
@@ -63,7 +64,6 @@ from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
     Group,
-    with_simulated_valve,
 )
 from asi_analysis.gap.model.simulator import metres_per_newton
 
@@ -90,16 +90,16 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
     if first is None or not others:
         return [None if first is None else first.weighed, *(None for _ in others)]
     rest, = others
-    second = _explained(with_simulated_valve(
-        with_noise_of_valve(rest, first.weighed.group),
-        most_probable_of(first.weighed).fitted.record, gain), tick, alone)
+    of_valve = most_probable_of(first.weighed).fitted
+    second = _explained(behind_valve(
+        with_noise_of_valve(rest, first.weighed.group), of_valve, gain), tick, alone)
     # If the laws behind the valve are formulated in another way, so are the valve's, although
     # its position may not show it; unless they are far less probable with no effect.
     costs = [each.best.cost for each in first.found.values()]
     changed = ((second is None or second.weighed.group.other_formulation)
                and not first.weighed.group.other_formulation
                and first.found[()].best.cost < min(costs) + COST_RANGE)
-    if second is None and gain_is_off(most_probable_of(first.weighed).fitted.record, rest, gain):
+    if second is None and gain_is_off(of_valve.record, rest, gain):
         return [None, None]
     return [(weighed_of(first.found, alone, True) if changed else None) or first.weighed,
             None if second is None else second.weighed]

@@ -1,0 +1,84 @@
+"""
+What follows a fitted valve: the position of that valve, and the uncertainty of its fit.
+
+The force shows a lag of the valve more exactly than its own, noisy position. So the errors of the
+valve's fit are parameters of what follows it, with the normal distribution that the fit gave them
+(Ljung, System Identification, 2nd ed., 9.2); else they would be taken for an effect there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.uncertainty import likelihood
+from asi_analysis.gap.model import simulator
+from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.model.group import (
+    OF_VALVE_GAIN,
+    Group,
+    is_of_valve,
+    prepared_for,
+    with_valve_gain,
+)
+from asi_analysis.gap.model.predict import predict
+
+
+def behind_valve(group: Group, valve: Fitted, gain: Free | None = None, only_noise: bool = False
+                 ) -> Group:
+    """
+    Return a group with the parameters of a fitted valve, and their errors as parameters.
+
+    The position of the valve is the simulated one, plus that part of its residual which is above
+    the noise, unless it is `only_noise`. gain: the uncertain gain of the valve, if it is to be a
+    parameter of this group, too.
+    """
+    return with_simulated_valve(group, valve.record, _errors_of(valve), gain, only_noise)
+
+
+def with_simulated_valve(group: Group, valve: np.void, errors: Sequence[np.void] = (),
+                         gain: Free | None = None, only_noise: bool = False) -> Group:
+    """Return the same as `behind_valve` does, for a record and the same with each error."""
+    group = replace(group, only_noise_of_valve=only_noise)
+    made = _with_valve_of(group, valve, gain)
+    others = [_with_valve_of(group, each, gain) for each in errors]
+    p, free = simulator.with_valve_errors(made.nominal, len(errors))
+    changes = [{channel: np.transpose([_predicted(other, number, channel)
+                                       - _predicted(made, number, channel) for other in others])
+                for channel in group.channels if others}
+               for number in range(len(made.recordings))]
+    recordings, p['maximum_substep'] = simulator.with_corrections(
+        made.recordings, group.channels, with_valve_gain(made, p), group.error_floor,
+        group.exact_substep_s)
+    given, _ = simulator.with_valve_errors(group.nominal, len(errors))
+    return replace(made, nominal=p, given=given, nuisance=(*made.nuisance, *free), recordings=[
+        replace(recording, valve_errors=each)
+        for recording, each in zip(recordings, changes, strict=True)])
+
+
+def _errors_of(fitted: Fitted) -> list[np.void]:
+    """Return the record of a fit with each of its uncorrelated errors, of a standard deviation."""
+    curvature, axes = np.linalg.eigh(likelihood(fitted).square + np.eye(fitted.theta.size))
+    return [fitted.problem.record(np.clip(fitted.theta + axis, 0.0, 1.0))
+            for axis in (axes / np.sqrt(curvature)).T]
+
+
+def _predicted(group: Group, number: int, channel: str) -> Array:
+    """Return the prediction of a channel of a recording with the nominal parameters."""
+    return predict(group.recordings[number], channel, with_valve_gain(group, group.nominal))
+
+
+def _with_valve_of(group: Group, valve: np.void, gain: Free | None) -> Group:
+    """Return a group with the valve of a record, whose predictions are not corrected."""
+    p = group.nominal.copy()
+    for name in p.dtype.names or ():
+        if is_of_valve(name) and name not in OF_VALVE_GAIN:
+            p[name] = valve[name]
+    if gain is not None and gain.field not in {free.field for free in group.nuisance}:
+        group = replace(group, nuisance=(*group.nuisance, gain))
+    group = replace(group, nominal=p, given=group.nominal,
+                    valve_gain=simulator.metres_per_newton(valve))
+    return replace(group, recordings=[replace(prepared_for(group, r), corrections={}, cache={})
+                                      for r in group.recordings])
