@@ -207,3 +207,18 @@ def test_coloured_noise_is_no_gap_and_hides_none(colour, deadband, seed):
     assert found.verdict == (('valve_deadband',) if deadband else ())
     assert marginals(found.joined)['unknown'] < 0.2
     assert any('noise of the valve position' in note for note in found.notes) == (colour != 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.9, 0.95, *KINDS])
+def test_whatever_the_noise_nothing_else_is_sure(colour):
+    named = 0
+    for seed in range(100, 106):
+        for deadband in (0.0, 20.0):
+            effect = {'valve_flexure.deadband': deadband}
+            found = diagnose([recorded(LINEAR | effect, colour, seed)], LINEAR)
+            right = 'valve_deadband' if deadband else 'no_gap'
+            chance = marginals(found.joined)
+            assert not {name for name in chance if chance[name] >= 0.9} - {right}
+            named += chance.get(right, 0.0) >= 0.5
+    assert named >= 11

@@ -32,8 +32,8 @@ def behind_valve(group: Group, valve: Fitted, gain: Free | None = None, only_noi
     Return a group with the parameters of a fitted valve, and their errors as parameters.
 
     The position of the valve is the simulated one, plus that part of its residual which is above
-    the noise, unless it is `only_noise`. gain: the uncertain gain of the valve, if it is to be a
-    parameter of this group, too.
+    the noise, unless it is `only_noise`: of coloured noise some would pass. gain: the uncertain
+    gain of the valve, if it is to be a parameter of this group, too.
     """
     return with_simulated_valve(group, valve.record, _errors_of(valve), gain, only_noise)
 
