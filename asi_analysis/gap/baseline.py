@@ -335,7 +335,8 @@ def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy)
     own = [number for number, free in enumerate(fitted.free) if '@' not in free.field]
     free = tuple(fitted.free[number] for number in own)
     for recording in healthy.fitted.problem.group.recordings:
-        alone = replace(group, recordings=[replace(recording, number=0, cache={})])
+        alone = replace(group, recordings=[replace(
+            recording, number=0, cache={}, valve_errors={})])   # these are of another fit
         start = fitted.theta[own]
         at = [each.field for each in free].index(field)
         start[at] = min(max(fitted.problem.parameter(free[at]).share(usual), 0.001), 0.999)

@@ -63,6 +63,7 @@ from asi_analysis.gap.model.group import (
 from asi_analysis.gap.model.joint import OF_ANY_SIZE, drive_of, joint_groups
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.simulator import (
+    VALVE_ERROR,
     has_linear_laws,
     of_simulator,
 )
@@ -434,7 +435,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'notes': diagnosis.notes, 'sources': [run.source for run in diagnosis.runs],
         'nuisance': {weighed.group.channels[-1]: {
             free.field: float(diagnosis.best(weighed).fitted.record[free.field])
-            for free in weighed.group.nuisance} for weighed in diagnosis.groups},
+            for free in weighed.group.nuisance if not free.field.startswith(VALVE_ERROR)}
+            for weighed in diagnosis.groups},
     }
 
 

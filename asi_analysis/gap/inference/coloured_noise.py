@@ -250,12 +250,15 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
     Or less, if what a worse hypothesis left was counted. p: the fitted record of the hypothesis.
     """
     noise, floor, recordings = dict(group.noise), dict(group.error_floor), list(group.recordings)
+    only_noise = not (group.other_formulation or group.floor_measured)   # is in the error floor
     for channel in SIGNALS.keys() & {*group.channels}:
         name, left, before = SIGNALS[channel], _mean_square(group, channel, p), floor[channel]
-        if name in recordings[0].colour and left < before:
-            floor[channel] = left
-            noise[channel] *= math.sqrt(left / before)
-        known = recordings[0].noise[name] ** 2 if name in recordings[0].colour else 0.0
+        known = 0.0
+        if name in recordings[0].colour and only_noise:
+            known = recordings[0].noise[name] ** 2
+            if left < before:
+                floor[channel] = left
+                noise[channel] *= math.sqrt(left / before)
         if left <= LOUDER * before and not known:
             continue
         # Of noise that is known, a worse hypothesis may have shown only what is above some

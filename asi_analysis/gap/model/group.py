@@ -98,7 +98,7 @@ class Group:
     # Of the simulator, if the valve was fitted before: its position per command, m/N. It ties the
     # valve's gain to full opening and maximum force, which the force shows.
     valve_gain: float | None = None
-    only_noise_of_valve: bool = False   # is left by that fit: its position is the simulated one
+    only_noise_of_valve: bool = False   # is left by its fit: its position is the simulated one
     exact_substep_s: float = 0.0   # sub-step of the simulator that needs no correction
     floor_measured: bool = False   # the error floor is the residual of healthy recordings
     floor_by_best: bool = False    # the best residual limits the model error
@@ -301,9 +301,9 @@ def prepared_for(group: Group, recording: Recording) -> Recording:
         return _with_less_noisy_valve(recording, group.valve)
     if not simulator.of_simulator(group.nominal):
         return recording
-    if group.only_noise_of_valve:
-        return replace(recording, valve_estimate=None)
-    return replace(recording, valve_estimate=simulator.estimated_valve(
+    position = (simulator.simulated_valve if group.only_noise_of_valve else
+                simulator.estimated_valve)
+    return replace(recording, valve_estimate=position(
         recording, exact(group, with_valve_gain(group, group.nominal))))
 
 

@@ -48,7 +48,8 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
 VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
-MOST_ERROR = 6.0   # of the valve's fit, standard deviations
+# Fields of the errors of the valve's fit, and their largest size, standard deviations.
+VALVE_ERROR, MOST_ERROR = 'valve_error_', 6.0
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
 LEAST_SHARE = 0.5   # gain of the Wiener filter below which all power is taken for noise
 
@@ -215,7 +216,7 @@ def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]
 
 def _errors(count: int) -> list[str]:
     """Return the fields of the errors of the valve's fit."""
-    return [f'valve_error_{number}' for number in range(count)]
+    return [f'{VALVE_ERROR}{number}' for number in range(count)]
 
 
 def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,

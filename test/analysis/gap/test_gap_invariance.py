@@ -153,6 +153,6 @@ def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_p
         name: getattr(run, name) + level * rng.standard_normal(command.size)
         for name, level in noise.items()})[first:]
     answer = document(diagnose([settled], TEXTBOOK))
-    assert (answer['verdict'], answer['probability'] > 0.9) == ('valve_bias', True)
+    assert (answer['verdict'], answer['probability'] > 0.85) == ('valve_bias', True)
     # The answer rests on the zero of the position sensor, and says so.
     assert any('a shifted zero looks like a constant force' in note for note in answer['notes'])

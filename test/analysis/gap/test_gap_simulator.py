@@ -43,6 +43,7 @@ from asi_analysis.gap.model.group import (
     simulator_group,
     with_less_noisy_valve,
     with_lower_noise,
+    with_valve_gain,
 )
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import judged_error, measured, predict
@@ -85,6 +86,26 @@ def test_valve_and_what_follows_it_move_alone_as_in_the_whole_actuator(load):
         advance_motion(motion, positions, p, steady)
         assert valve['valve_position'] == whole['valve_position']
         assert measure(motion, p) == measure(whole, p)
+
+
+def test_errors_of_the_valves_fit_are_parameters_of_what_follows_it():
+    nominal = {'load.type': 'spring'}
+    recordings = prepared([recorded(nominal, duration_s=1.5)])
+    p = simulator.simulator_record(nominal)
+    behind = simulator_group(p, recordings, CHANNELS)
+    slower = p.copy()
+    slower['valve_flexure_coil_frequency'] *= 0.97
+    group = with_simulated_valve(behind, p, [p, slower])
+    moved = with_simulated_valve(behind, slower)
+    assert {'valve_error_0', 'valve_error_1'} <= {free.field for free in group.nuisance}
+    q = group.nominal.copy()
+    q['valve_error_0'] = q['valve_error_1'] = 1.0
+    q['maximum_substep'] = moved.nominal['maximum_substep'] = group.exact_substep_s
+    for channel in CHANNELS:
+        none, errors = group.recordings[0].valve_errors[channel].T
+        assert not none.any() and errors.any()
+        assert predict(group.recordings[0], channel, q) == pytest.approx(predict(
+            moved.recordings[0], channel, with_valve_gain(moved, moved.nominal)))
 
 
 @pytest.mark.parametrize(('load', 'rate_hz'), [('spring', 1000.0), ('locked', 2000.0),

@@ -19,6 +19,7 @@ from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     Group,
+    exact,
     is_of_valve,
     prepared_for,
     with_valve_gain,
@@ -40,7 +41,12 @@ def behind_valve(group: Group, valve: Fitted, gain: Free | None = None, only_noi
 
 def with_simulated_valve(group: Group, valve: np.void, errors: Sequence[np.void] = (),
                          gain: Free | None = None, only_noise: bool = False) -> Group:
-    """Return the same as `behind_valve` does, for a record and the same with each error."""
+    """
+    Return a group behind a valve, as `behind_valve` does.
+
+    valve: the fitted record; errors: that record with each error of a standard deviation.
+    Predictions are linear in the errors, about the nominal parameters of what follows the valve.
+    """
     group = replace(group, only_noise_of_valve=only_noise)
     made = _with_valve_of(group, valve, gain)
     others = [_with_valve_of(group, each, gain) for each in errors]
@@ -59,10 +65,18 @@ def with_simulated_valve(group: Group, valve: np.void, errors: Sequence[np.void]
 
 
 def _errors_of(fitted: Fitted) -> list[np.void]:
-    """Return the record of a fit with each of its uncorrelated errors, of a standard deviation."""
-    curvature, axes = np.linalg.eigh(likelihood(fitted).square + np.eye(fitted.theta.size))
-    return [fitted.problem.record(np.clip(fitted.theta + axis, 0.0, 1.0))
-            for axis in (axes / np.sqrt(curvature)).T]
+    """
+    Return the record of a fit with each of its uncorrelated errors, of a standard deviation.
+
+    Along the axes of its normal distribution, where a range without a prior counts as a standard
+    deviation; to that side where the bounds leave more room.
+    """
+    problem, theta = fitted.problem, fitted.theta
+    curvature, axes = np.linalg.eigh(likelihood(fitted).square + np.eye(theta.size))
+    sides = [[np.clip(theta + sign * axis, 0.0, 1.0) for sign in (1.0, -1.0)]
+             for axis in (axes / np.sqrt(curvature)).T]
+    return [exact(problem.group, problem.record(max(
+        both, key=lambda side: float(np.linalg.norm(side - theta))))) for both in sides]
 
 
 def _predicted(group: Group, number: int, channel: str) -> Array:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.arrays import Array
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.posterior import (
     ODDS_AGAINST,
@@ -19,6 +19,7 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.simulator import VALVE_ERROR
 
 # A right hypothesis may leave a mean square of MARGIN error floors, and of the uncertainty of the
 # noise variance: it is estimated from fourth differences, and three standard errors of it are
@@ -116,13 +117,24 @@ class Found(NamedTuple):
 
     @property
     def prior_cost(self) -> float:
-        """Return the negative log prior density of the nominal parameters, up to a constant."""
-        return self.problem.prior_cost(self.best.theta)
+        """
+        Return the negative log prior density of the nominal parameters, up to a constant.
+
+        Without the errors of the valve's fit, which are improbable for other reasons.
+        """
+        mean, precision = self.problem.prior
+        return 0.5 * float((self._is_nominal * precision) @ (self.best.theta - mean) ** 2)
+
+    @property
+    def _is_nominal(self) -> Mask:
+        """Return which free parameters are no errors of the valve's fit."""
+        return np.array([not free.field.startswith(VALVE_ERROR) for free in self.problem.free])
 
     @property
     def odds_of_one_more(self) -> float:
         """Return the log odds for an unknown effect beside which the parameters are as usual."""
-        usual = 0.5 * np.count_nonzero(self.problem.prior[1])   # the mean of the prior's cost
+        # The mean of the prior's cost.
+        usual = 0.5 * np.count_nonzero(self.problem.prior[1][self._is_nominal])
         return float(self.prior_cost - usual - ODDS_AGAINST)
 
     @property

@@ -18,6 +18,7 @@ from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
 from asi_analysis.gap.model.group import Group, acts_on, with_fitted_start
+from asi_analysis.gap.model.simulator import VALVE_ERROR
 from asi_analysis.gap.model.start import SEAL
 from asi_common.record import field_name
 
@@ -64,7 +65,8 @@ def _start_guesses(problem: Posterior) -> Iterator[Array]:
     """Yield nominal parameters, with guesses of the shapes of laws and of initial states."""
     mean = problem.nominal
     yield mean
-    started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal']
+    started = [n for n, free in enumerate(problem.free) if free.scale != 'nominal'
+               and not free.field.startswith(VALVE_ERROR)]
     if not started:
         return
     alone = replace(problem, free=tuple(problem.free[n] for n in started))

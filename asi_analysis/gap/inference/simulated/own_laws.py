@@ -78,7 +78,7 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
 
 
 def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, Found]:
-    """Return what the simulator's own laws say of a group; the most probable and best fit."""
+    """Return what the simulator's own laws say of a group; the most probable fit."""
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
     found = with_noise_left(single_effects(null, tick, True))
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
@@ -86,8 +86,10 @@ def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, 
     if not any(_mostly_explains(each, null) for each in found.values()):
         return OwnLaws(None, gap), best.as_fitted, best
     weighed = weighed_of(in_formulation(found, True), True)
-    fitted = best.as_fitted if weighed is None else most_probable_of(weighed).fitted
-    return OwnLaws(weighed, gap), fitted, best
+    if weighed is None:
+        return OwnLaws(None, gap), best.as_fitted, best
+    chosen = most_probable_of(weighed)
+    return OwnLaws(weighed, gap), chosen.fitted, found.get(chosen.names, best)
 
 
 def _mostly_explains(found: Found, null: Found) -> bool:
