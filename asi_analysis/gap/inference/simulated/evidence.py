@@ -197,7 +197,7 @@ def _log_posterior(found: Found, noise: _Noise, left: Array) -> float:
     normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
     return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
             - 0.5 * float(others @ others)
-            - found.problem.prior_cost(found.best.theta)
+            - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())
             - ODDS_AGAINST * len(found.names)
             - OF_ALL_QUANTA * (STEPS in found.names)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.arrays import Array, Mask
+from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.posterior import (
     ODDS_AGAINST,
@@ -117,25 +117,21 @@ class Found(NamedTuple):
 
     @property
     def prior_cost(self) -> float:
-        """
-        Return the negative log prior density of the nominal parameters, up to a constant.
-
-        Without the errors of the valve's fit, which are improbable for other reasons.
-        """
-        mean, precision = self.problem.prior
-        return 0.5 * float((self._is_nominal * precision) @ (self.best.theta - mean) ** 2)
-
-    @property
-    def _is_nominal(self) -> Mask:
-        """Return which free parameters are no errors of the valve's fit."""
-        return np.array([not free.field.startswith(VALVE_ERROR) for free in self.problem.free])
+        """Return the negative log prior density of the parameters with one, up to a constant."""
+        return self.problem.prior_cost(self.best.theta)
 
     @property
     def odds_of_one_more(self) -> float:
-        """Return the log odds for an unknown effect beside which the parameters are as usual."""
-        # The mean of the prior's cost.
-        usual = 0.5 * np.count_nonzero(self.problem.prior[1][self._is_nominal])
-        return float(self.prior_cost - usual - ODDS_AGAINST)
+        """
+        Return the log odds for an unknown effect beside which the parameters are as usual.
+
+        An effect may be imitated by nominal parameters or by errors of the valve's fit.
+        """
+        mean, precision = self.problem.prior
+        # Of a usual parameter the mean of the prior's cost is a half.
+        costs = 0.5 * (precision * (self.best.theta - mean) ** 2 - (precision > 0.0))
+        nominal = [not free.field.startswith(VALVE_ERROR) for free in self.problem.free]
+        return float(max(costs.sum(), costs[nominal].sum()) - ODDS_AGAINST)
 
     @property
     def improbable(self) -> bool:
