@@ -33,7 +33,7 @@ from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
-from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, coloured
+from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
@@ -269,7 +269,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             each is not old for each, old in zip(weighed, as_fitted, strict=True)):
         notes.append(PLACED)
     notes += [NOT_WHITE.format(signal_of(channel, runs[0], plant).replace('_', ' '))
-              for each in weighed for channel in coloured(each.group)]
+              for each in weighed for channel in not_white(each.group)]
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)
     notes += filter(None, (place_of_gap(answer.best(each)) for each in weighed))

@@ -274,7 +274,7 @@ def with_coloured_noise(group: Group, p: np.void) -> Group:
         noise[channel] = math.sqrt(max((1.0 - found.unsure) * level - model_error,
                                        noise[channel] ** 2 * min(level / before, 1.0)))
         floor[channel], recordings = level, louder
-    if floor == group.error_floor:
+    if (noise, floor) == (group.noise, group.error_floor):
         return group
     return replace(group, noise=noise, error_floor=floor, recordings=recordings)
 
@@ -295,9 +295,15 @@ def _residual(recording: Recording, channel: str, p: np.void) -> Residual:
 
 
 def coloured(group: Group) -> list[str]:
-    """Return the channels with noise that is not white."""
+    """Return the channels whose noise was sought in what a model leaves; it may be white."""
     return [channel for channel in group.channels
             if any(SIGNALS.get(channel) in r.colour for r in group.recordings)]
+
+
+def not_white(group: Group) -> list[str]:
+    """Return the channels whose noise is much stronger than the white noise that drives it."""
+    return [channel for channel in coloured(group) if any(
+        gain_of_noise(r.colour.get(SIGNALS[channel], ())) > LOUDER for r in group.recordings)]
 
 
 def with_noise_of_valve(group: Group, valve: Group) -> Group:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_analysis.gap.inference.coloured_noise import coloured, with_noise_of_valve
+from asi_analysis.gap.inference.coloured_noise import not_white, with_noise_of_valve
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
@@ -67,7 +67,7 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
     first, fitted, best = _own_laws(valve, tick)
     if first.weighed is None:
         refuse()
-    only_noise = bool(coloured(best.problem.group)) and not best.unexplained
+    only_noise = bool(not_white(best.problem.group)) and not best.unexplained
     rest = [_own_laws(behind_valve(with_noise_of_valve(each, best.problem.group), fitted, gain,
                                    only_noise), tick)[0] for each in others]
     if any(law.weighed is None and gain_is_off(fitted.record, each, gain)
