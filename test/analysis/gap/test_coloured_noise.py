@@ -9,6 +9,7 @@ from scipy.signal import butter, lfilter
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.inference import coloured_noise
 from asi_analysis.gap.inference.coloured_noise import (
     Residual,
     _mean_square,
@@ -183,8 +184,10 @@ def test_the_noise_of_a_group_is_what_is_left_if_that_is_noise():
     assert math.sqrt(with_coloured_noise(group, p).error_floor['valve']) < 2.2e-7
 
 
-def test_noise_is_no_more_than_what_is_left():
-    """Of a motion, whose noise may be strong outside of its band."""
+def test_noise_is_no_more_than_what_is_left(monkeypatch):
+    """Of a motion, whose noise may be strong outside of its band, and whose level is not sure."""
+    monkeypatch.setattr(coloured_noise, 'noise_of_residual',
+                        lambda residuals: noise_of_residual(residuals)._replace(unsure=0.1))
     run = recorded(LINEAR, 0.9)
     p = simulator.simulator_record(LINEAR)
     group = simulator_group(p, prepared([run]), ('force', 'velocity'), linear=True)
