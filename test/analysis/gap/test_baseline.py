@@ -237,3 +237,13 @@ def test_another_unit_than_that_of_the_healthy_recordings_is_refused():
     amperes = replace(HEALTHY[0], information={'signals': PENDULUM['signals'] | {'command': 'A'}})
     with pytest.raises(InputError, match='command is in A, in joint in Nm'):
         asked(amperes, HEALTHY[0])
+
+
+@pytest.mark.slow
+def test_a_healthy_recording_may_begin_in_motion():
+    """Then the fit of its valve has more parameters, and so more errors."""
+    nominal = {'load.type': 'spring'}
+    healthy = recorded(nominal, duration_s=3.0)[1337:]
+    now = recorded(nominal | {'friction.coulomb': 14.0}, duration_s=3.0)
+    answer = diagnose([now], nominal, baseline=[healthy])
+    assert answer.verdict == 'coulomb_friction' and answer.baseline['change'] == 'changed'
