@@ -92,7 +92,6 @@ def _with_valve_of(group: Group, valve: np.void, gain: Free | None) -> Group:
             p[name] = valve[name]
     if gain is not None and gain.field not in {free.field for free in group.nuisance}:
         group = replace(group, nuisance=(*group.nuisance, gain))
-    group = replace(group, nominal=p, given=group.nominal,
-                    valve_gain=simulator.metres_per_newton(valve))
+    group = replace(group, nominal=p, valve_gain=simulator.metres_per_newton(valve))
     return replace(group, recordings=[replace(prepared_for(group, r), corrections={}, cache={})
                                       for r in group.recordings])
