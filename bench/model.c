@@ -23,7 +23,7 @@ struct first_order { double keep, old, new; };
 struct constants {
     double half_decay, coil_decay, supply_keep, delay_substeps;
     long delay_periods;
-    struct first_order fluid, valve_lag, sensor_lag;
+    struct first_order fluid, valve_lag, second_valve_lag, sensor_lag, second_sensor_lag;
     struct second_order pipe, sensor, card;
     struct delay valve_delay, sensor_delay;
     double h;
@@ -97,7 +97,9 @@ static struct constants constants(const struct parameters *p, double period, dou
     c.delay_periods = (long)fmin(p->command_path_delay / period, RING - 2);
     c.delay_substeps = fmin((p->command_path_delay - c.delay_periods * period) / h, period / h);
     c.valve_lag = lag_of(p->valve_flexure_lag_time, h);
+    c.second_valve_lag = lag_of(p->valve_flexure_second_lag_time, h);
     c.sensor_lag = lag_of(p->force_sensor_lag_time, h);
+    c.second_sensor_lag = lag_of(p->force_sensor_second_lag_time, h);
     c.half_decay = exp(-M_PI * p->valve_hysteresis_rate_filter * h);
     c.coil_decay = exp(-2.0 * M_PI * p->valve_flexure_coil_frequency * h);
     c.pipe = second_order(p->valve_flexure_natural_frequency, p->valve_flexure_damping_ratio, h);
@@ -502,7 +504,7 @@ static void jump(struct state *s, double command, const struct parameters *p,
     double slope;
     magnetise(s, command, 1.0, p);
     if (p->valve_flexure_model != FULL && p->valve_flexure_deadband == 0.0
-        && p->valve_flexure_lag_time == 0.0)
+        && p->valve_flexure_lag_time == 0.0 && p->valve_flexure_second_lag_time == 0.0)
         s->valve_position = valve_position(deflected(
             (p->valve_flexure_model == LINEAR ? p->valve_flexure_linear_gain : 1.0) * s->drive, p),
             p);
@@ -540,6 +542,12 @@ static inline void substep(struct state *s, double command, const struct paramet
         s->lagged_drive = after;
         mean = 0.5 * (earlier + after);
     }
+    if (p->valve_flexure_second_lag_time > 0.0) {
+        double earlier = s->twice_lagged_drive;
+        after = k->second_valve_lag.keep * earlier + (1.0 - k->second_valve_lag.keep) * mean;
+        s->twice_lagged_drive = after;
+        mean = 0.5 * (earlier + after);
+    }
     if (p->valve_flexure_model == FULL) {
         double coil_before = s->coil;
         s->coil = mean + (s->coil - mean) * k->coil_decay;
@@ -567,12 +575,15 @@ static inline void substep(struct state *s, double command, const struct paramet
     } else {
         felt *= p->force_sensor_model == LINEAR ? p->force_sensor_linear_gain : 1.0;
     }
-    if (p->force_sensor_lag_time == 0.0) {
+    if (p->force_sensor_lag_time == 0.0 && p->force_sensor_second_lag_time == 0.0) {
         s->sensed = felt;
     } else {
-        s->sensed = k->sensor_lag.keep * s->sensed + k->sensor_lag.old * s->sensor_input
+        double first = k->sensor_lag.keep * s->sensor_lagged + k->sensor_lag.old * s->sensor_input
             + k->sensor_lag.new * felt;
+        s->sensed = k->second_sensor_lag.keep * s->sensed
+            + k->second_sensor_lag.old * s->sensor_lagged + k->second_sensor_lag.new * first;
         s->sensor_input = felt;
+        s->sensor_lagged = first;
     }
 }
 

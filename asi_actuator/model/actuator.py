@@ -82,10 +82,12 @@ STATE_DTYPE = np.dtype([
     ('sensed', np.float64),             # N, after the sensor's delay
     ('ring_index', np.int64),
     ('lagged_drive', np.float64),       # N, after the further lag of the valve
+    ('twice_lagged_drive', np.float64),  # N, after one more
     ('supply_load', np.float64),        # mean size of the opening that the supply has seen
     ('load_position', np.float64),      # m, of a load that is not rigidly coupled
     ('load_velocity', np.float64),      # m/s
     ('sensor_input', np.float64),       # N, of the further lag of the sensor
+    ('sensor_lagged', np.float64),      # N, after it, before one more
     ('kept_reading', np.float64),       # N, the last reading that was not lost
     ('command_ring', np.float64, (RING,)),
     ('flexure_ring', np.float64, (RING,)),
@@ -148,7 +150,7 @@ def valve_jump(state, command, p):
     """Let the magnetic circuit jump to a new command (N), and a valve without dynamics too."""
     magnetise(state, command, p, AT_ONCE)
     if (p.valve_flexure_model != FULL and p.valve_flexure_deadband == 0.0
-            and p.valve_flexure_lag_time == 0.0):
+            and p.valve_flexure_lag_time == 0.0 and p.valve_flexure_second_lag_time == 0.0):
         state.valve_position = valve_position(deflected(flexure_gain(p) * state.drive, p), p)
 
 

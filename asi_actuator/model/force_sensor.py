@@ -3,7 +3,7 @@ Force sensor: a flexure on the cylinder with a Hall-effect transducer (paper, se
 
 A resonance, the filter of the analogue card that conditions the signal, and the second of the two
 delays; then gain, offset and noise ("this force sensor is a non-zero sensor, thus calibration is
-required"). Null by default: a further lag, a drift of the offset, and lost readings.
+required"). Null by default: two further lags, a drift of the offset, and lost readings.
 """
 
 import math
@@ -31,6 +31,7 @@ class SensorStep(NamedTuple):
     card: SecondOrder
     delay: DelaySteps
     lag: FirstOrder
+    second_lag: FirstOrder
 
 
 @jit
@@ -39,20 +40,27 @@ def sensor_step(p, h):
     return SensorStep(
         second_order(p.force_sensor_natural_frequency, p.force_sensor_damping_ratio, h),
         second_order(p.force_sensor_card_frequency, CARD_DAMPING, h),
-        delay_steps(p.force_sensor_delay, h), first_order_or_none(p.force_sensor_lag_time, h))
+        delay_steps(p.force_sensor_delay, h), first_order_or_none(p.force_sensor_lag_time, h),
+        first_order_or_none(p.force_sensor_second_lag_time, h))
 
 
 @jit
 def force_sensor(state, force_before, force_after, p, steady):
     """Return the sensed force (N) after a sub-step, before gain, offset and noise."""
     conditioned = _conditioned(state, force_before, force_after, p, steady)
-    if p.force_sensor_lag_time == 0.0:
+    if p.force_sensor_lag_time == 0.0 and p.force_sensor_second_lag_time == 0.0:
         return conditioned
-    # `sensor_input` is what the lag was given last.
-    lagged = (steady.lag.keep * state.sensed + steady.lag.old * state.sensor_input
-              + steady.lag.new * conditioned)
-    state.sensor_input = conditioned
-    return lagged
+    # `sensor_input` and `sensor_lagged` are what the two lags were given last.
+    first = _lagged(state.sensor_lagged, state.sensor_input, conditioned, steady.lag)
+    second = _lagged(state.sensed, state.sensor_lagged, first, steady.second_lag)
+    state.sensor_input, state.sensor_lagged = conditioned, first
+    return second
+
+
+@jit
+def _lagged(output, before, after, lag):
+    """Return the output of a lag after a sub-step; before, after: its input."""
+    return lag.keep * output + lag.old * before + lag.new * after
 
 
 @jit

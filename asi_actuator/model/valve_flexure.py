@@ -2,7 +2,7 @@
 Valve flexure: the coil and the flexure pipe that it bends (paper, section 2.2).
 
 A first-order lag (coil and drive), a resonance (flexure), and the first of the two delays. Null by
-default: a dead band of the drive, a further lag, an offset of the deflection, and a stop.
+default: a dead band of the drive, two further lags, an offset of the deflection, and a stop.
 """
 
 import math
@@ -23,6 +23,7 @@ class FlexureStep(NamedTuple):
     """What is the same in every sub-step."""
 
     lag: FirstOrder
+    second_lag: FirstOrder
     coil_decay: float
     pipe: SecondOrder
     delay: DelaySteps
@@ -33,6 +34,7 @@ def flexure_step(p, h):
     """Return what is the same in every sub-step of `h` s."""
     return FlexureStep(
         first_order_or_none(p.valve_flexure_lag_time, h),
+        first_order_or_none(p.valve_flexure_second_lag_time, h),
         math.exp(-2.0 * math.pi * p.valve_flexure_coil_frequency * h),
         second_order(p.valve_flexure_natural_frequency, p.valve_flexure_damping_ratio, h),
         delay_steps(p.valve_flexure_delay, h))
@@ -63,6 +65,17 @@ def deflected(deflection, p):
 
 
 @jit
+def lagged(before, mean, lag):
+    """
+    Return the mean output of a lag over a sub-step, and that at its end.
+
+    The drive jumps between sub-steps and moves within: its mean is what drives the lag.
+    """
+    after = lag.keep * before + (1.0 - lag.keep) * mean
+    return 0.5 * (before + after), after
+
+
+@jit
 def valve_flexure(state, drive_mean, drive_after, p, steady):
     """
     Return the flexure's deflection, as the force (N) that bends it; updates coil and pipe.
@@ -73,11 +86,11 @@ def valve_flexure(state, drive_mean, drive_after, p, steady):
         drive_mean = dead_zone(drive_mean, p.valve_flexure_deadband)
         drive_after = dead_zone(drive_after, p.valve_flexure_deadband)
     if p.valve_flexure_lag_time > 0.0:
-        before = state.lagged_drive
-        # The drive jumps between sub-steps and moves within: its mean is what drives the lag.
-        after = steady.lag.keep * before + (1.0 - steady.lag.keep) * drive_mean
-        state.lagged_drive = after
-        drive_mean, drive_after = 0.5 * (before + after), after
+        drive_mean, drive_after = lagged(state.lagged_drive, drive_mean, steady.lag)
+        state.lagged_drive = drive_after
+    if p.valve_flexure_second_lag_time > 0.0:
+        drive_mean, drive_after = lagged(state.twice_lagged_drive, drive_mean, steady.second_lag)
+        state.twice_lagged_drive = drive_after
     if p.valve_flexure_model != FULL:
         return deflected(flexure_gain(p) * drive_after, p)
     coil = drive_mean + (state.coil - drive_mean) * steady.coil_decay

@@ -135,10 +135,17 @@ def test_limits_of_travel_and_of_flow() -> None:
 def test_further_lag_of_the_valve_and_of_the_sensor() -> None:
     time = np.arange(1, 200) * PERIOD
     step = GAIN * 100.0 * (1.0 - np.exp(-time / 0.004))
-    for name in ('valve_flexure.lag_time', 'force_sensor.lag_time'):
+    for name in ('valve_flexure.lag_time', 'valve_flexure.second_lag_time',
+                 'force_sensor.lag_time', 'force_sensor.second_lag_time'):
         ours = force({name: 0.004}, np.full(time.size, 100.0))
         # The sub-step of 25 us: half of one later or earlier.
         np.testing.assert_allclose(ours, step, atol=0.4)
+    both = GAIN * 100.0 * (1.0 - (0.004 * np.exp(-time / 0.004) - 0.001 * np.exp(-time / 0.001))
+                           / 0.003)
+    for block in ('valve_flexure', 'force_sensor'):
+        ours = force({f'{block}.lag_time': 0.004, f'{block}.second_lag_time': 0.001},
+                     np.full(time.size, 100.0))
+        np.testing.assert_allclose(ours, both, atol=0.4)
 
 
 # --- hydraulics

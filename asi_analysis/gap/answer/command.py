@@ -25,7 +25,7 @@ from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
-from asi_analysis.gap.model.model_file import DIRECT
+from asi_analysis.gap.model.model_file import DIRECT, LAGS
 from asi_analysis.gap.model.simulator import of_simulator
 from asi_analysis.gap.model.static import GIVEN, static_signals
 from asi_analysis.gap.prepare import Recording
@@ -42,6 +42,7 @@ DRIVES = (None, 'force', 'position')
 LOAD = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type')
 # Effects of the simulator that the block-wise model computes by other equations; 0 if off.
 EFFECT_SIZES = (set(DIRECT.values()) - {'valve_characteristic.supply_time'}) | {
+    f'{block}.{name}' for block in LAGS.values() for name in ('lag_time', 'second_lag_time')} | {
     'fluid_dynamics.leakage_growth', 'friction.coulomb_asymmetry', 'coupling.stiffness',
     'backlash.gap', 'load.external_force', 'force_sensor.drop_rate'}
 

@@ -98,6 +98,8 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     ),
     'valve_lag': (
         _form(VALVE, Free('valve_flexure_lag_time', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's')),
+        _form(VALVE, Free('valve_flexure_lag_time', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
+              Free('valve_flexure_second_lag_time', 0.0, 0.05, (0.0003, 0.001, 0.004), '', 's')),
         _form(VALVE, _scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),
               needs=('valve_flexure_model',)),
     ),
@@ -191,7 +193,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         _form(SENSOR, Free('force_sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N')),),
     'sensor_gain': (_form(SENSOR, _scaled('force_sensor_gain', 0.3, 2.5, (0.8, 1.25))),),
     'sensor_lag': (
-        _form(SENSOR, Free('force_sensor_lag_time', 0.0, 0.05, TIMES, '', 's')),),
+        _form(SENSOR, Free('force_sensor_lag_time', 0.0, 0.05, TIMES, '', 's')),
+        _form(SENSOR, Free('force_sensor_lag_time', 0.0, 0.05, TIMES, '', 's'),
+              Free('force_sensor_second_lag_time', 0.0, 0.02, (0.0002, 0.001), '', 's')),),
     'sensor_drift': (
         _form(SENSOR, Free('force_sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
               Free('force_sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2')),),

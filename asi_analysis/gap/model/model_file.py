@@ -13,13 +13,14 @@ from asi_common.jit import FULL
 from asi_common.parameter import Value, completed, defaults
 from asi_common.record import as_number, field_name
 
+# Lags of two poles, and the blocks of the simulator that have them.
+LAGS: Final = {'valve_lag': 'valve_flexure', 'sensor_lag': 'force_sensor'}
 # Fields of the effects that equal a parameter of the simulator.
 DIRECT: Final = {
     'command_delay': 'command_path.delay',
     'command_quantum': 'command_path.quantum',
     'command_bias': 'valve_flexure.bias',
     'command_deadband': 'valve_flexure.deadband',
-    'valve_lag': 'valve_flexure.lag_time',
     'valve_limit': 'valve_flexure.travel_limit',
     'orifice_deadband': 'valve_characteristic.deadband',
     'orifice_bias': 'valve_characteristic.bias',
@@ -32,18 +33,16 @@ DIRECT: Final = {
     'leakage_linear': 'fluid_dynamics.leakage',
     'air_time': 'fluid_dynamics.air_time',
     'viscous': 'friction.viscous',
-    'sensor_lag': 'force_sensor.lag_time',
     'sensor_drift': 'force_sensor.drift',
     'sensor_drift_curve': 'force_sensor.drift_curve',
 }
 # Fields that `improved` turns into parameters, and those of a shape only.
 TURNED: Final = frozenset({
-    *DIRECT, 'command_phase', 'command_truncated', 'loop_width', 'loop_share', 'loop_spread',
-    'loop_behind', 'damping_viscous', 'leakage_quadratic', 'force_scale', 'air_stiffening',
-    'friction_level',
-    'friction_asymmetry', 'friction_breakaway', 'friction_stribeck', 'friction_bristle',
-    'friction_rounding', 'friction_inside', 'friction_falling',
-    'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating', 'compliance',
+    *DIRECT, *LAGS, 'command_phase', 'command_truncated', 'loop_width', 'loop_share',
+    'loop_spread', 'loop_behind', 'damping_viscous', 'leakage_quadratic', 'force_scale',
+    'air_stiffening', 'friction_level', 'friction_asymmetry', 'friction_breakaway',
+    'friction_stribeck', 'friction_bristle', 'friction_rounding', 'friction_inside',
+    'friction_falling', 'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating', 'compliance',
     'compliance_damping', 'piston_share', 'disturbance', 'disturbance_wave',
     'disturbance_frequency', 'disturbance_phase', 'disturbance_pulse', 'disturbance_start',
     'disturbance_end', 'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split',
@@ -60,6 +59,8 @@ OF_VALVE: Final = frozenset(VALVE_FIELDS) - {OPENING, THRUST}   # what its posit
 def effect_fields(values: Mapping[str, Value]) -> dict[str, float]:
     """Return the fields of effects that the parameters of a nominal model contain already."""
     fields = {field: float(values[name]) for field, name in DIRECT.items()}
+    for field, block in LAGS.items():
+        fields |= _lag_fields(values, block, field)
     rounding = values['command_path.rounding']
     fields['command_phase'] = 0.5 if rounding == 'edge' else 0.0
     fields['command_truncated'] = float(rounding == 'zero')
@@ -86,10 +87,8 @@ def joint_fields(given: Mapping[str, Value], force_measured: bool) -> dict[str, 
     def number(name: str) -> float:
         return float(values[name])
 
-    lags = number('drive.lag_time'), number('drive.second_lag_time')
     late = {} if force_measured else {
-        'drive_delay': number('command_path.delay'), 'drive_lag': sum(lags),
-        'drive_lag_split': min(lags) / sum(lags) if any(lags) else 0.0}
+        'drive_delay': number('command_path.delay'), **_lag_fields(values, 'drive', 'drive_lag')}
     fields = {'viscous': number('friction.viscous'), **late, **_coupled(values)}
     if values['friction.model'] == 'linear':
         fields['viscous'] += number('friction.linear_gain')
@@ -104,6 +103,12 @@ def joint_fields(given: Mapping[str, Value], force_measured: bool) -> dict[str, 
         'friction_stribeck': number('friction.stribeck_velocity'), 'friction_falling': 2.0,
         'friction_bristle': level * breakaway / number('friction.presliding_stiffness'),
         'friction_rounding': number('friction.presliding_slip')}
+
+
+def _lag_fields(values: Mapping[str, Value], block: str, field: str) -> dict[str, float]:
+    """Return the two time constants of a block's lag as their sum, and the share of one."""
+    times = [float(values[f'{block}.{name}']) for name in ('lag_time', 'second_lag_time')]
+    return {field: sum(times), f'{field}_split': min(times) / sum(times) if any(times) else 0.0}
 
 
 def _coupled(values: Mapping[str, Value]) -> dict[str, float]:
@@ -131,6 +136,11 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     """
     changed: dict[str, Value] = {name: float(p[field]) for field, name in DIRECT.items()
                                  if p[field] != 0.0 and field != 'supply_time'}
+    for field, block in LAGS.items():
+        if p[field] != 0.0:
+            second = float(p[field] * p[f'{field}_split'])
+            changed |= {f'{block}.lag_time': float(p[field]) - second,
+                        f'{block}.second_lag_time': second}
     if p['supply_sag'] != 0.0:
         changed['valve_characteristic.supply_time'] = float(p['supply_time'])
     if p['command_quantum'] > 0.0:

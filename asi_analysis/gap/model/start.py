@@ -104,7 +104,8 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
     holds = max(p[f'friction_{name}'] for name in ('coulomb', 'stiction_push', 'stiction_pull'))
     state['seal'] = _fitted(recording, p, SEAL) * holds / p['friction_presliding_stiffness']
     if recording.force is not None:
-        for name in ('hydraulic_force', 'sensor', 'card', 'sensed', 'sensor_input', 'sensor_ring'):
+        for name in ('hydraulic_force', 'sensor', 'card', 'sensed', 'sensor_input',
+                     'sensor_lagged', 'sensor_ring'):
             state[name] = recording.force[0]
         if p['friction_model'] == FULL and p['friction_location'] != BEHIND_SENSOR:
             state['hydraulic_force'] += p['friction_presliding_stiffness'] * state['seal']

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import norm, truncnorm
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
@@ -34,6 +35,9 @@ NEGLIGIBLE = 40.0
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
 STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 0.006)
+# A parameter is at an end of its range within this share of it; the ends do not count so many
+# standard deviations away; curvature of a posterior that is uniform over the range.
+AT_END, FAR_WITHIN, LEAST_CURVATURE = 1e-6, 6.0, 1e-3
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -219,15 +223,50 @@ def _log_volume(found: Found, noise: _Noise, left: Array) -> float:
 
     left: as in `_log_posterior`.
     """
-    problem, theta = found.problem, found.best.theta
-    precision = problem.prior[1]
-    of_channels, others = problem.split(found.slopes)
-    weight = (noise.samples / of_channels.shape[1] / power(problem.group) / noise.level
+    problem, best = found.problem, found.best
+    mean, precision = problem.prior
+    # An updated Jacobian is good enough for steps, but not for a volume.
+    slopes, rest = problem.split(problem.jacobian(best.theta, base=best.residual))
+    residual, others = problem.split(best.residual)
+    weight = (noise.samples / slopes.shape[1] / power(problem.group) / noise.level
               * noise.weight(noise.excess(left)))
-    square = (np.einsum('c,cni,cnj->ij', weight, of_channels, of_channels, optimize=True)
-              + others.T @ others + np.diag(precision))
-    normal = precision > 0.0
-    # Of a uniform prior, the volume is at most the range.
-    square[~normal, ~normal] += 2.0 * math.pi * np.ones((~normal).sum())
-    _, log_det = np.linalg.slogdet(square)
-    return 0.5 * theta.size * math.log(2.0 * math.pi) - 0.5 * float(log_det)
+    weighted = weight[:, None, None] * slopes
+    square = (np.einsum('cni,cnj->ij', weighted, slopes, optimize=True)
+              + rest.T @ rest + np.diag(precision))
+    slope = (np.einsum('cni,cn->i', weighted, residual) + rest.T @ others
+             + precision * (best.theta - mean))
+    # Within the range the slope is 0, but for the convergence of the fit.
+    at_end = (np.minimum(best.theta, 1.0 - best.theta) < AT_END) & (
+        slope * (0.5 - best.theta) > 0.0)
+    return log_volume(square, np.where(at_end, slope, 0.0), best.theta)
+
+
+def log_volume(square: Array, slope: Array, theta: Array) -> float:
+    """
+    Return the log of the integral of exp(-slope x - x square x / 2) over the ranges.
+
+    x: parameters less `theta`, each of which goes from 0 to 1. By the moments of one truncated
+    normal distribution after the other (Mendell and Elston, Biometrics 30, 1974).
+    """
+    # A parameter that nothing depends on: a normal distribution that is as good as uniform.
+    square = square + LEAST_CURVATURE * np.eye(theta.size)
+    covariance = np.linalg.inv(square)
+    centre = theta - covariance @ slope
+    total = 0.5 * (theta.size * math.log(2.0 * math.pi) - float(np.linalg.slogdet(square)[1])
+                   + float(slope @ (theta - centre)))
+    remaining = np.ones(theta.size, bool)
+    while remaining.any():
+        spread = np.sqrt(np.diag(covariance))
+        low, high = -centre / spread, (1.0 - centre) / spread
+        number = int(np.argmin(np.where(remaining, np.minimum(-low, high), math.inf)))
+        ends = float(low[number]), float(high[number])
+        if min(-ends[0], ends[1]) > FAR_WITHIN:
+            break
+        inside = min(max(0.0, ends[0]), ends[1])
+        total += float(norm.logpdf(inside) - truncnorm.logpdf(inside, *ends))
+        moved, variance = map(float, truncnorm.stats(*ends, moments='mv'))
+        gain = covariance[:, number] / spread[number]
+        centre = centre + moved * gain
+        covariance = covariance - (1.0 - variance) * np.outer(gain, gain)
+        remaining[number] = False
+    return total

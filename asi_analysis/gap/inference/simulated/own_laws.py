@@ -23,6 +23,7 @@ from asi_analysis.gap.inference.simulated.search import (
     gain_is_off,
     single_effects,
     with_free_gain,
+    with_pairs,
 )
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.group import Group
@@ -36,7 +37,7 @@ class OwnLaws(NamedTuple):
     """
     What the simulator's own laws say of a group.
 
-    weighed: None if they do not explain it, with one effect at most; gap: whether the nominal
+    weighed: None if they do not explain it, with two effects at most; gap: whether the nominal
     model, refitted, leaves so much that this cannot be noise or model error.
     """
 
@@ -55,7 +56,7 @@ class OwnLaws(NamedTuple):
 def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
                 refuse: Callable[[], object] = bool) -> list[OwnLaws]:
     """
-    Return, for each group, whether the simulator's own laws explain it, with one effect at most.
+    Return, for each group, whether the simulator's own laws explain it, with up to two effects.
 
     For a simplified nominal model. Its laws are linear, so a machine's are the same, but effects
     may be formulated in another way than the simulator's; then the block-wise fits are asked.
@@ -80,7 +81,7 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
 def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, Found]:
     """Return what the simulator's own laws say of a group; the most probable fit."""
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
-    found = with_noise_left(single_effects(null, tick, True))
+    found = with_pairs(with_noise_left(single_effects(null, tick, True)), tick)
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):

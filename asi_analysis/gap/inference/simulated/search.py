@@ -235,9 +235,22 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     only: as in `single_effects`; alone: as in `explained_by_simulator`.
     """
     found = with_noise_left(single_effects(null, tick, alone, only))
-    singles = [names for names in found if names]
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
+    pairs = with_pairs(found, tick, alone)
+    if pairs is found or not (alone or _only_noise_left(pairs)):
+        return pairs
+    return in_best_formulation(with_noise_from_fit(pairs), found)
+
+
+def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool = True
+               ) -> dict[Names, Found]:
+    """
+    Return hypotheses of single effects, and pairs, if each of the single ones may lack an effect.
+
+    alone: as in `explained_by_simulator`.
+    """
+    singles = [names for names in found if names]
     if not singles or not all(each.may_lack_an_effect for each in found.values()):
         return found
     first = min((found[names] for names in singles), key=lambda each: each.best.cost)
@@ -246,9 +259,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     if promised < ODDS_AGAINST or not (
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
-    pairs = with_noise_left(_best_of(found, _pairs(found[()], first, tick, alone)))
-    return (in_best_formulation(with_noise_from_fit(pairs), found)
-            if alone or _only_noise_left(pairs) else pairs)
+    return with_noise_left(_best_of(found, _pairs(found[()], first, tick, alone)))
 
 
 def _only_noise_left(found: Mapping[Names, Found]) -> bool:
