@@ -42,8 +42,8 @@ TURNED: Final = frozenset({
     'loop_spread', 'loop_behind', 'damping_viscous', 'leakage_quadratic', 'force_scale',
     'air_stiffening', 'friction_level', 'friction_asymmetry', 'friction_breakaway',
     'friction_stribeck', 'friction_bristle', 'friction_rounding', 'friction_inside',
-    'friction_falling', 'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating', 'compliance',
-    'compliance_damping', 'piston_share', 'disturbance', 'disturbance_wave',
+    'friction_falling', 'viscous_exponent', 'velocity_scale', 'backlash', 'backlash_floating',
+    'compliance', 'compliance_damping', 'piston_share', 'disturbance', 'disturbance_wave',
     'disturbance_frequency', 'disturbance_phase', 'disturbance_pulse', 'disturbance_start',
     'disturbance_end', 'sensor_offset', 'sensor_gain_error', 'corner', 'valve_lag_split',
     'sensor_lag_split'})
