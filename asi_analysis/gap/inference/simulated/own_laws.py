@@ -5,7 +5,8 @@ A linear law has one formulation, so the nominal part of such a machine is the s
 residual is an effect. Effects may be formulated in another way than the simulator's.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from asi_analysis.gap.inference.coloured_noise import not_white, with_noise_of_valve
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit, with_noise_left
@@ -25,7 +27,7 @@ from asi_analysis.gap.inference.simulated.search import (
     with_free_gain,
     with_pairs,
 )
-from asi_analysis.gap.model.effects import UNKNOWN
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect
 from asi_analysis.gap.model.group import Group
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
@@ -81,7 +83,7 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
 def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, Found]:
     """Return what the simulator's own laws say of a group; the most probable fit."""
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
-    found = with_pairs(with_noise_left(single_effects(null, tick, True)), tick)
+    found = _with_pairs(with_noise_left(single_effects(null, tick, True)), tick)
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
@@ -91,6 +93,24 @@ def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, 
         return OwnLaws(None, gap), best.as_fitted, best
     chosen = most_probable_of(weighed)
     return OwnLaws(weighed, gap), chosen.fitted, found.get(chosen.names, best)
+
+
+def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
+    """
+    Return hypotheses, with pairs of effects if each of the single ones may lack an effect.
+
+    A parameter beyond its tolerance is no second effect: it would be what is left of the first
+    one, if that is formulated in another way.
+    """
+    every = found[()].problem.group.effects
+    effects = tuple(each for each in every if not each.name.startswith(PARAMETER))
+    return _of_effects(with_pairs(_of_effects(found, effects), tick), every)
+
+
+def _of_effects(found: Mapping[Names, Found], effects: Sequence[Effect]) -> dict[Names, Found]:
+    """Return hypotheses whose group has these effects."""
+    return {names: each._replace(problem=replace(each.problem, group=replace(
+        each.problem.group, effects=tuple(effects)))) for names, each in found.items()}
 
 
 def _mostly_explains(found: Found, null: Found) -> bool:
