@@ -29,6 +29,7 @@ FOUND: dict[str, dict[str, float]] = {
     'valve_bias of the flexure': {'command_bias': 30.0},
     'valve_bias of the orifice': {'orifice_bias': 6e-7},
     'valve_lag': {'valve_lag': 0.003},
+    'valve_lag of two poles': {'valve_lag': 0.01, 'valve_lag_split': 0.3},
     'hydraulic_damping': {'damping_viscous': 200.0, 'damping_quadratic': 80.0,
                           'damping_opening': 100.0},
     'supply_pressure': {'supply_drop': 0.2, 'supply_sag': 0.3, 'supply_time': 0.1},
@@ -52,6 +53,7 @@ FOUND: dict[str, dict[str, float]] = {
     'sensor_offset': {'sensor_offset': 12.0},
     'sensor_gain': {'sensor_gain_error': 0.3},
     'sensor_lag': {'sensor_lag': 0.003},
+    'sensor_lag of two poles': {'sensor_lag': 0.01, 'sensor_lag_split': 0.3},
     'sensor_drift': {'sensor_drift': 60.0, 'sensor_drift_curve': -5.0},
 }
 # What the nominal model has a parameter for is read again as that parameter, not as an effect.

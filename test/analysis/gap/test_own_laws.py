@@ -28,6 +28,27 @@ def test_small_effect_is_found_beside_parameters_that_are_off(changed, effect):
     assert diagnose([run], TEXTBOOK, simulate=False).verdict == ()
 
 
+def test_lag_of_two_poles_and_a_bias_are_no_delay():
+    diagnosis = diagnose([recorded(
+        valve_flexure__lag_time=0.007, valve_flexure__second_lag_time=0.003,
+        valve_flexure__bias=52.0)], TEXTBOOK)
+    assert diagnosis.verdict == ('valve_bias', 'valve_lag')
+    improved = improved_of(diagnosis, TEXTBOOK)
+    poles = sorted(improved[f'valve_flexure.{name}'] for name in ('lag_time', 'second_lag_time'))
+    assert poles == pytest.approx([0.003, 0.007], rel=0.15)
+
+
+@pytest.mark.slow
+def test_two_effects_behind_the_valve_of_a_linear_machine_are_both_named():
+    diagnosis = diagnose([recorded(
+        force_sensor__gain=0.6, coupling__stiffness=5e5, coupling__damping=15.0,
+        coupling__piston_share=0.25)], TEXTBOOK)
+    assert diagnosis.verdict == ('load_compliance', 'sensor_gain')
+    improved = improved_of(diagnosis, TEXTBOOK)
+    assert improved['force_sensor.gain'] == pytest.approx(0.6, rel=0.15)
+    assert improved['coupling.stiffness'] == pytest.approx(5e5, rel=0.5)
+
+
 def test_what_no_law_explains_is_unknown():
     run = recorded()[:3000]
     ripple = 6.0 * np.sin(2.0 * np.pi * run.position_m / 3e-4)

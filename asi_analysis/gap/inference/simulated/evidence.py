@@ -88,8 +88,10 @@ def weigh(group: Group, found: Mapping[Names, Found]
         return _log_posterior(each, noise, left(each))
 
     highest = max(map(value, found.values()))
-    near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
-            if value(each) > highest - NEGLIGIBLE]
+    near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE]
+    if not group.other_formulation:   # else they are those nearest to the nominal parameters
+        near = [each.refined(converged=0.0) for each in near]
+    near = [max(each, _with_model_error(each, noise), key=value) for each in near]
     near += [more for each in near for more in with_improbable_named(each)]
     highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)

@@ -8,6 +8,7 @@ import numpy as np
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.posterior import (
+    CONVERGED,
     ODDS_AGAINST,
     ROUNDS,
     Best,
@@ -58,10 +59,12 @@ class Found(NamedTuple):
                 -1, slopes.shape[1]), others])
         return moved._replace(best=moved.best._replace(slopes=slopes, fresh=self.best.fresh))
 
-    def refined(self, rounds: int = ROUNDS, goal: float = math.inf) -> 'Found':
+    def refined(self, rounds: int = ROUNDS, goal: float = math.inf,
+                converged: float = CONVERGED) -> 'Found':
         """Return the hypothesis with its fit continued, as `most_probable` does."""
-        return self._replace(best=most_probable(self.problem, self.best.theta, rounds, goal=goal,
-                                                near=self.best))
+        return self._replace(best=most_probable(
+            self.problem, self.best.theta, rounds, goal=goal, converged=converged,
+            near=self.best))
 
     def lighter(self, share: float, rounds: int = ROUNDS) -> 'Found':
         """Return the hypothesis, refitted with this share of the weight of its data."""
