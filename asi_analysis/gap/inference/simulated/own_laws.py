@@ -71,8 +71,10 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
     if first.weighed is None:
         refuse()
     only_noise = bool(not_white(best.problem.group)) and not best.unexplained
+    # Behind a valve that is not explained, no pair will leave only noise.
     rest = [_own_laws(behind_valve(with_noise_of_valve(each, best.problem.group), fitted, gain,
-                                   only_noise), tick)[0] for each in others]
+                                   only_noise), tick, first.weighed is not None)[0]
+            for each in others]
     if any(law.weighed is None and gain_is_off(fitted.record, each, gain)
            for law, each in zip(rest, others, strict=True)):
         first = first._replace(weighed=None)   # the gain is judged with the valve, block by block
@@ -80,10 +82,16 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
     return [first, *(each._replace(gap=each.gap and first.weighed is not None) for each in rest)]
 
 
-def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, Found]:
-    """Return what the simulator's own laws say of a group; the most probable fit."""
+def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
+              ) -> tuple[OwnLaws, Fitted, Found]:
+    """
+    Return what the simulator's own laws say of a group; the most probable fit.
+
+    pairs: whether pairs of effects are fitted.
+    """
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
-    found = _with_pairs(with_noise_left(single_effects(null, tick, True)), tick)
+    found = with_noise_left(single_effects(null, tick, True))
+    found = _with_pairs(found, tick) if pairs else found
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
@@ -97,14 +105,16 @@ def _own_laws(group: Group, tick: Callable[[], None]) -> tuple[OwnLaws, Fitted, 
 
 def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return hypotheses, with pairs of effects if each of the single ones may lack an effect.
+    Return hypotheses, with pairs if each of the single effects may lack another one.
+
+    Only a pair that leaves no more than noise is fitted to the end.
 
     A parameter beyond its tolerance is no second effect: it would be what is left of the first
     one, if that is formulated in another way.
     """
     every = found[()].problem.group.effects
     effects = tuple(each for each in every if not each.name.startswith(PARAMETER))
-    return _of_effects(with_pairs(_of_effects(found, effects), tick), every)
+    return _of_effects(with_pairs(_of_effects(found, effects), tick, False), every)
 
 
 def _of_effects(found: Mapping[Names, Found], effects: Sequence[Effect]) -> dict[Names, Found]:

@@ -243,7 +243,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     return in_best_formulation(with_noise_from_fit(pairs), found)
 
 
-def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool = True
+def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
                ) -> dict[Names, Found]:
     """
     Return hypotheses of single effects, and pairs, if each of the single ones may lack an effect.
