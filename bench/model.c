@@ -539,15 +539,15 @@ static inline void substep(struct state *s, double command, const struct paramet
     if (p->valve_flexure_lag_time > 0.0) {
         double earlier = s->lagged_drive;
         after = k->valve_lag.keep * earlier + (1.0 - k->valve_lag.keep) * mean;
-        s->lagged_drive = after;
         mean = 0.5 * (earlier + after);
     }
+    s->lagged_drive = after;
     if (p->valve_flexure_second_lag_time > 0.0) {
         double earlier = s->twice_lagged_drive;
         after = k->second_valve_lag.keep * earlier + (1.0 - k->second_valve_lag.keep) * mean;
-        s->twice_lagged_drive = after;
         mean = 0.5 * (earlier + after);
     }
+    s->twice_lagged_drive = after;
     if (p->valve_flexure_model == FULL) {
         double coil_before = s->coil;
         s->coil = mean + (s->coil - mean) * k->coil_decay;
@@ -576,7 +576,7 @@ static inline void substep(struct state *s, double command, const struct paramet
         felt *= p->force_sensor_model == LINEAR ? p->force_sensor_linear_gain : 1.0;
     }
     if (p->force_sensor_lag_time == 0.0 && p->force_sensor_second_lag_time == 0.0) {
-        s->sensed = felt;
+        s->sensed = s->sensor_input = s->sensor_lagged = felt;
     } else {
         double first = k->sensor_lag.keep * s->sensor_lagged + k->sensor_lag.old * s->sensor_input
             + k->sensor_lag.new * felt;

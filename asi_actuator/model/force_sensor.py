@@ -49,6 +49,8 @@ def force_sensor(state, force_before, force_after, p, steady):
     """Return the sensed force (N) after a sub-step, before gain, offset and noise."""
     conditioned = _conditioned(state, force_before, force_after, p, steady)
     if p.force_sensor_lag_time == 0.0 and p.force_sensor_second_lag_time == 0.0:
+        # Where lags that are switched on begin.
+        state.sensor_input = state.sensor_lagged = conditioned
         return conditioned
     # `sensor_input` and `sensor_lagged` are what the two lags were given last.
     first = _lagged(state.sensor_lagged, state.sensor_input, conditioned, steady.lag)

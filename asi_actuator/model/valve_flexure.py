@@ -87,10 +87,10 @@ def valve_flexure(state, drive_mean, drive_after, p, steady):
         drive_after = dead_zone(drive_after, p.valve_flexure_deadband)
     if p.valve_flexure_lag_time > 0.0:
         drive_mean, drive_after = lagged(state.lagged_drive, drive_mean, steady.lag)
-        state.lagged_drive = drive_after
+    state.lagged_drive = drive_after   # where a lag that is switched on begins
     if p.valve_flexure_second_lag_time > 0.0:
         drive_mean, drive_after = lagged(state.twice_lagged_drive, drive_mean, steady.second_lag)
-        state.twice_lagged_drive = drive_after
+    state.twice_lagged_drive = drive_after
     if p.valve_flexure_model != FULL:
         return deflected(flexure_gain(p) * drive_after, p)
     coil = drive_mean + (state.coil - drive_mean) * steady.coil_decay

@@ -62,11 +62,19 @@ def _gain(gain: float) -> Transfer:
     return Transfer(gain * ONE, ONE)
 
 
+def _further_lags(p: np.void, block: str) -> Transfer:
+    """Return the two further lags of a block, which are none by default."""
+    lag, second = (Transfer(ONE, np.array([p[f'{block}_{name}'], 1.0]))
+                   for name in ('lag_time', 'second_lag_time'))
+    return lag.then(second)
+
+
 def coil(p: np.void) -> Transfer:
     """Return drive (N) to force on the flexure (N)."""
+    lags = _further_lags(p, 'valve_flexure')
     if p['valve_flexure_model'] != FULL:
-        return _gain(flexure_gain(p))
-    return _first_order(p['valve_flexure_coil_frequency'])
+        return lags.then(_gain(flexure_gain(p)))
+    return lags.then(_first_order(p['valve_flexure_coil_frequency']))
 
 
 def pipe(p: np.void) -> Transfer:
@@ -100,9 +108,10 @@ def sensor(p: np.void) -> Transfer:
 
 def card(p: np.void) -> Transfer:
     """Return output of the sensor (N) to measured force (N)."""
+    lags = _further_lags(p, 'force_sensor')
     if p['force_sensor_model'] != FULL:
-        return _gain(1.0)
-    return _second_order(p['force_sensor_card_frequency'], CARD_DAMPING)
+        return lags
+    return _second_order(p['force_sensor_card_frequency'], CARD_DAMPING).then(lags)
 
 
 def structure(p: np.void) -> Transfer:

@@ -10,11 +10,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from study import STUDY
 
-from asi_actuator.model.actuator import Trajectory, simulate
+from asi_actuator.model.actuator import Trajectory, measure, rest, simulate, step
 from asi_actuator.model.effects import BLOCKS, EFFECTS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
+from asi_analysis.loop import linear_model
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_common.parameter import Value, defaults
+from asi_common.record import copy_of
 
 PERIOD = 2e-4
 PARTS = ('valve_hysteresis', 'valve_flexure', 'valve_characteristic', 'hydraulic_damping',
@@ -146,6 +148,28 @@ def test_further_lag_of_the_valve_and_of_the_sensor() -> None:
         ours = force({f'{block}.lag_time': 0.004, f'{block}.second_lag_time': 0.001},
                      np.full(time.size, 100.0))
         np.testing.assert_allclose(ours, both, atol=0.4)
+
+
+@pytest.mark.parametrize('block', ['valve_flexure', 'force_sensor'])
+@pytest.mark.parametrize('lag', ['lag_time', 'second_lag_time'])
+def test_a_lag_that_is_switched_on_begins_at_the_present_force(block: str, lag: str) -> None:
+    plain, state = as_record(STILL), rest()
+    for _ in range(50):
+        step(state, 100.0, plain, PERIOD)
+    lagged, there = as_record(STILL | {f'{block}.{lag}': 0.01}), copy_of(state)
+    step(there, 100.0, lagged, PERIOD)
+    assert measure(there, lagged)[0] == pytest.approx(measure(state, plain)[0])
+
+
+@pytest.mark.parametrize('model', ['off', 'full'])
+def test_linear_model_has_the_further_lags(model: str) -> None:
+    for block, response in (('valve_flexure', linear_model.flexure), ('force_sensor',
+                                                                      linear_model.card)):
+        values: dict[str, Value] = {f'{block}.model': model}
+        plain, lagged = (response(as_record(values | more))(20.0) for more in (
+            {}, {f'{block}.lag_time': 0.004, f'{block}.second_lag_time': 0.001}))
+        s = 2j * np.pi * 20.0
+        assert lagged == pytest.approx(plain / (1.0 + 0.004 * s) / (1.0 + 0.001 * s))
 
 
 # --- hydraulics

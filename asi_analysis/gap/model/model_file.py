@@ -137,9 +137,10 @@ def improved(p: np.void, values: Mapping[str, Value]) -> dict[str, Value]:
     changed: dict[str, Value] = {name: float(p[field]) for field, name in DIRECT.items()
                                  if p[field] != 0.0 and field != 'supply_time'}
     for field, block in LAGS.items():
-        if p[field] != 0.0:
-            second = float(p[field] * p[f'{field}_split'])
-            changed |= {f'{block}.lag_time': float(p[field]) - second,
+        fitted = {name: float(p[name]) for name in (field, f'{field}_split')}
+        if fitted != _lag_fields(values, block, field):
+            second = fitted[field] * fitted[f'{field}_split']
+            changed |= {f'{block}.lag_time': fitted[field] - second,
                         f'{block}.second_lag_time': second}
     if p['supply_sag'] != 0.0:
         changed['valve_characteristic.supply_time'] = float(p['supply_time'])

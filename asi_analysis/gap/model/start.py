@@ -16,7 +16,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, of_recording
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import START_S, Recording
-from asi_common.jit import FULL
+from asi_common.jit import FULL, LINEAR
 from asi_common.record import with_fields
 
 # Flux as a share of the hysteresis's half width, seal's deflection as a share of its largest; m;
@@ -75,6 +75,10 @@ def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.v
     state['command_filtered'] = command[0]
     for name in ('flux', 'plays_flux', 'lagged_flux'):
         state[name] = command[0] + _fitted(recording, p, FLUX) * p['valve_hysteresis_radius']
+    # Lags that are too slow for the time before the recording begin near where they end.
+    gain = p['valve_hysteresis_linear_gain'] if p['valve_hysteresis_model'] == LINEAR else 1.0
+    for name in ('lagged_drive', 'twice_lagged_drive'):
+        state[name] = gain * command[0]
     return state, np.full(math.ceil(BURN_IN_S / recording.period_s), command[0])
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm, truncnorm
+from scipy.special import erfcx
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
@@ -35,9 +35,9 @@ NEGLIGIBLE = 40.0
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
 STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 0.006)
-# A parameter is at an end of its range within this share of it; the ends do not count so many
-# standard deviations away; curvature of a posterior that is uniform over the range.
-AT_END, FAR_WITHIN, LEAST_CURVATURE = 1e-6, 6.0, 1e-3
+# A parameter is at an end of its range within this share of it; the least curvature, for which
+# the posterior is uniform over the range.
+AT_END, LEAST_CURVATURE = 1e-6, 1e-3
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -64,6 +64,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     That of `unknown` is 0 here. Some hypotheses are added: fits whose nominal parameters are so
     improbable that they are an effect.
     """
+    found = _to_the_end(found)
     least = min(found.values(), key=lambda f: f.best.cost)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
@@ -88,10 +89,8 @@ def weigh(group: Group, found: Mapping[Names, Found]
         return _log_posterior(each, noise, left(each))
 
     highest = max(map(value, found.values()))
-    near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE]
-    if not group.other_formulation:   # else they are those nearest to the nominal parameters
-        near = [each.refined(converged=0.0) for each in near]
-    near = [max(each, _with_model_error(each, noise), key=value) for each in near]
+    near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
+            if value(each) > highest - NEGLIGIBLE]
     near += [more for each in near for more in with_improbable_named(each)]
     highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
@@ -107,6 +106,19 @@ def weigh(group: Group, found: Mapping[Names, Found]
     chance = {names: value / sum(weights.values()) for names, value in weights.items()}
     # As long as the residual is no more than noise, there is no unknown effect.
     return {**chance, (UNKNOWN,): 0.0}, fits
+
+
+def _to_the_end(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """
+    Return hypotheses; those that compete are fitted until nothing more is gained.
+
+    Not if the laws are formulated in another way: then they are as near to the nominal parameters
+    as the model error allows.
+    """
+    least = min(each.best.cost for each in found.values())
+    return {names: each.refined(converged=0.0)
+            if each.best.cost < least + NEGLIGIBLE and not each.problem.group.other_formulation
+            else each for names, each in found.items()}
 
 
 def _noise_level(group: Group, level: Array) -> Array:
@@ -237,38 +249,30 @@ def _log_volume(found: Found, noise: _Noise, left: Array) -> float:
               + rest.T @ rest + np.diag(precision))
     slope = (np.einsum('cni,cn->i', weighted, residual) + rest.T @ others
              + precision * (best.theta - mean))
-    # Within the range the slope is 0, but for the convergence of the fit.
-    at_end = (np.minimum(best.theta, 1.0 - best.theta) < AT_END) & (
-        slope * (0.5 - best.theta) > 0.0)
-    return log_volume(square, np.where(at_end, slope, 0.0), best.theta)
+    return log_volume(square, slope, best.theta, precision)
 
 
-def log_volume(square: Array, slope: Array, theta: Array) -> float:
+def log_volume(square: Array, slope: Array, theta: Array, precision: Array) -> float:
     """
     Return the log of the integral of exp(-slope x - x square x / 2) over the ranges.
 
-    x: parameters less `theta`, each of which goes from 0 to 1. By the moments of one truncated
-    normal distribution after the other (Mendell and Elston, Biometrics 30, 1974).
+    x: parameters less `theta`, each of which goes from 0 to 1; precision: of their normal priors,
+    contained in `square`; 0: a uniform prior. Within the range the slope is 0, but for the
+    convergence of the fit. A parameter that is held at an end of its range is integrated over one
+    side of it, with all that are within given, and without regard to others at their ends: for
+    two that act alike that is an upper bound.
     """
-    # A parameter that nothing depends on: a normal distribution that is as good as uniform.
-    square = square + LEAST_CURVATURE * np.eye(theta.size)
-    covariance = np.linalg.inv(square)
-    centre = theta - covariance @ slope
-    total = 0.5 * (theta.size * math.log(2.0 * math.pi) - float(np.linalg.slogdet(square)[1])
-                   + float(slope @ (theta - centre)))
-    remaining = np.ones(theta.size, bool)
-    while remaining.any():
-        spread = np.sqrt(np.diag(covariance))
-        low, high = -centre / spread, (1.0 - centre) / spread
-        number = int(np.argmin(np.where(remaining, np.minimum(-low, high), math.inf)))
-        ends = float(low[number]), float(high[number])
-        if min(-ends[0], ends[1]) > FAR_WITHIN:
-            break
-        inside = min(max(0.0, ends[0]), ends[1])
-        total += float(norm.logpdf(inside) - truncnorm.logpdf(inside, *ends))
-        moved, variance = map(float, truncnorm.stats(*ends, moments='mv'))
-        gain = covariance[:, number] / spread[number]
-        centre = centre + moved * gain
-        covariance = covariance - (1.0 - variance) * np.outer(gain, gain)
-        remaining[number] = False
-    return total
+    end = np.minimum(theta, 1.0 - theta) < AT_END
+    within = ~end
+    # Of a uniform prior, the volume is at most the range.
+    inner = square[np.ix_(within, within)] + np.diag(2.0 * math.pi * (precision[within] == 0.0))
+    along = np.linalg.solve(inner, square[np.ix_(within, end)])
+    outward = np.sign(0.5 - theta[end])
+    push = outward * (slope[end] - slope[within] @ along)
+    bend = np.diag(square[np.ix_(end, end)] - square[np.ix_(end, within)] @ along)
+    bend = np.maximum(bend, LEAST_CURVATURE)
+    # Not pushed out of the range: the fit may have stopped there.
+    share = np.maximum(push, 0.0) / np.sqrt(2.0 * bend)
+    sides = np.minimum(np.sqrt(0.5 * math.pi / bend) * erfcx(share), 1.0)
+    return (0.5 * inner.shape[0] * math.log(2.0 * math.pi)
+            - 0.5 * float(np.linalg.slogdet(inner)[1]) + float(np.log(sides).sum()))

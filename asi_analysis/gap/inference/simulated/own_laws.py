@@ -27,7 +27,7 @@ from asi_analysis.gap.inference.simulated.search import (
     with_free_gain,
     with_pairs,
 )
-from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, has_one_law
 from asi_analysis.gap.model.group import Group
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
@@ -105,16 +105,21 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
 
 def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return hypotheses, with pairs if each of the single effects may lack another one.
+    Return hypotheses, with pairs that leave no more than noise, if a single effect is not enough.
 
-    Only a pair that leaves no more than noise is fitted to the end.
-
-    A parameter beyond its tolerance is no second effect: it would be what is left of the first
-    one, if that is formulated in another way.
+    Only if the law of the best single effect has one formulation: of another one, a second effect
+    would be what the formulation leaves. So would be a parameter beyond its tolerance.
     """
+    singles = [each for names, each in found.items() if names]
+    first = min(singles, key=lambda each: each.best.cost, default=found[()])
+    if not first.names or first.names[0].startswith(PARAMETER) or (
+            not has_one_law(first.names[0])):
+        return found
     every = found[()].problem.group.effects
     effects = tuple(each for each in every if not each.name.startswith(PARAMETER))
-    return _of_effects(with_pairs(_of_effects(found, effects), tick, False), every)
+    pairs = with_pairs(_of_effects(found, effects), tick, False)
+    return {names: each for names, each in _of_effects(pairs, every).items()
+            if len(names) < 2 or not each.unexplained}
 
 
 def _of_effects(found: Mapping[Names, Found], effects: Sequence[Effect]) -> dict[Names, Found]:

@@ -1,0 +1,59 @@
+"""The volume of a posterior, against integrals over a grid."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from asi_analysis.gap.inference.simulated.evidence import log_volume
+
+UNIFORM = np.zeros(2)
+
+
+def integral(square, slope, theta, points=2000):
+    """Return the log of the integral over two ranges from 0 to 1."""
+    edges = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, points)])
+    axes = []
+    for value in theta:   # fine about the most probable value
+        axis = np.unique(np.clip(np.concatenate([value - edges, value + edges]), 0.0, 1.0))
+        axes.append((0.5 * (axis[1:] + axis[:-1]), np.diff(axis)))
+    x, y = (middle - value for (middle, _), value in zip(axes, theta, strict=True))
+    cost = (slope[0] * x[:, None] + slope[1] * y[None]
+            + 0.5 * (square[0, 0] * x[:, None] ** 2 + square[1, 1] * y[None] ** 2)
+            + square[0, 1] * x[:, None] * y[None])
+    return math.log(float(axes[0][1] @ np.exp(-cost) @ axes[1][1]))
+
+
+@pytest.mark.parametrize('theta', [(0.4, 0.6), (0.0, 0.6), (0.4, 1.0), (0.0, 1.0)])
+@pytest.mark.parametrize('slope', [0.0, 100.0, 1e5])
+def test_volume_is_the_integral_of_uncorrelated_parameters(theta, slope):
+    square, at = np.diag([1e4, 3e4]), np.array(theta)
+    outward = slope * np.select([at == 0.0, at == 1.0], [1.0, -1.0], 0.0)
+    ours = log_volume(square, outward, at, UNIFORM)
+    assert ours == pytest.approx(integral(square, outward, at), abs=0.02)
+
+
+def test_one_at_its_end_is_integrated_with_the_other_given():
+    square = np.array([[1e4, 9e3], [9e3, 1e4]])
+    for slope in (0.0, 50.0, 1e4):
+        args = square, np.array([slope, 0.0]), np.array([0.0, 0.5])
+        assert log_volume(*args, UNIFORM) == pytest.approx(integral(*args), abs=0.02)
+
+
+@pytest.mark.parametrize('correlation', [0.5, 0.9, 0.999])
+def test_two_at_their_ends_that_act_alike_have_at_most_this_volume(correlation):
+    square = 1e4 * np.array([[1.0, correlation], [correlation, 1.0]])
+    for slope in (0.0, 300.0, 1e4):
+        args = square, np.full(2, slope), np.zeros(2)
+        exact, ours = integral(*args), log_volume(*args, UNIFORM)
+        assert exact - 0.02 < ours < exact + 1.0
+
+
+def test_volume_is_finite_and_no_larger_than_the_range():
+    sizes = (0.0, 1e-9, 1.0, 1e9, 1e16)
+    for size, slope, theta in itertools.product(sizes, sizes, (0.0, 0.3)):
+        square = np.full((2, 2), size)   # both act alike
+        outward = np.array([slope, 0.0]) if theta == 0.0 else np.zeros(2)
+        value = log_volume(square, outward, np.array([theta, 0.5]), UNIFORM)
+        assert math.isfinite(value) and value < 1e-6
