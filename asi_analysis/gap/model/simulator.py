@@ -27,7 +27,7 @@ from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.start import START_FIELDS, before_valve, state_at_start
+from asi_analysis.gap.model.start import before_valve, state_at_start, state_key
 from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Recording
@@ -204,8 +204,7 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
         _follow(state, deflection[1:], unit, error, _actuator(p), recording.period_s, out)
         return out
 
-    own = b''.join(p[name].tobytes() for name in START_FIELDS if name in (p.dtype.names or ()))
-    return _cached(recording, 'motion', _actuator(p).tobytes() + own, run)
+    return _cached(recording, 'motion', _actuator(p).tobytes() + state_key(p), run)
 
 
 def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]]:

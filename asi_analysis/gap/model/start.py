@@ -19,10 +19,10 @@ from asi_analysis.gap.prepare import START_S, Recording
 from asi_common.jit import FULL, LINEAR
 from asi_common.record import with_fields
 
-# Flux as a share of the hysteresis's half width, seal's deflection as a share of its largest; m;
-# m/s.
-FLUX, SEAL, POSITION, VELOCITY = START_FIELDS = (
-    'start_flux', 'start_seal', 'start_position', 'start_velocity')
+# Flux as a share of the hysteresis's half width, seal's deflection as a share of its largest, what
+# the supply has seen beyond the mean size of the opening; m; m/s.
+FLUX, SEAL, SUPPLY, POSITION, VELOCITY = START_FIELDS = (
+    'start_flux', 'start_seal', 'start_supply', 'start_position', 'start_velocity')
 MEMORIES = (FLUX, SEAL)
 # As shares of the measured range: the bounds of position and velocity, and the standard deviation
 # of their initial values from a line through the first samples.
@@ -49,6 +49,7 @@ def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequ
             own.append(Free(FLUX, -1.0, 1.0, (0.0,)))
         if 'force' in channels:
             own += [Free(SEAL, -1.0, 1.0, (0.0,))] if p['friction_model'] == FULL else []
+            own.append(Free(SUPPLY, -1.0, 1.0, (0.0,)))
             motion = recording.motion
             if motion is not None:
                 known = MISSED if motion.measured else math.inf
@@ -61,6 +62,13 @@ def start_parameters(p: np.void, recordings: Sequence[Recording], channels: Sequ
 def _fitted(recording: Recording, p: np.void, name: str) -> float:
     """Return a field of the initial state; 0 for a recording that is not fitted."""
     return float(p[name]) if name in (p.dtype.names or ()) and recording.fit.any() else 0.0
+
+
+def state_key(p: np.void) -> bytes:
+    """Return the initial state of a record as bytes; that of a supply which never sags is none."""
+    sags = p['valve_characteristic_supply_sag'] > 0.0
+    return b''.join(p[name].tobytes() for name in START_FIELDS
+                    if name in (p.dtype.names or ()) and (sags or name != SUPPLY))
 
 
 def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.void, Array]:
@@ -94,9 +102,9 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
     if recording.at_rest:
         return state
     state['valve_position'] = valve[0]
-    # The supply pressure is in steady state at the mean opening.
     opening = np.abs(valve) / p['valve_characteristic_full_opening']
-    state['supply_load'] = np.minimum(opening, 1.0).mean()
+    state['supply_load'] = min(max(np.minimum(opening, 1.0).mean()
+                                   + _fitted(recording, p, SUPPLY), 0.0), 1.0)
     motion = recording.motion
     if motion is not None:
         position, velocity = recording.once('first', lambda: [

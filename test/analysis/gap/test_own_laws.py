@@ -38,6 +38,13 @@ def test_lag_of_two_poles_and_a_bias_are_no_delay():
     assert poles == pytest.approx([0.003, 0.007], rel=0.15)
 
 
+def test_a_supply_that_sags_may_have_been_in_use_before_the_recording():
+    """It is not in steady state at the mean opening of the valve."""
+    run = recorded(valve_characteristic__supply_sag=0.9,
+                   valve_characteristic__supply_time=0.6)[2500:]
+    assert diagnose([run], TEXTBOOK).verdict == ('supply_pressure',)
+
+
 @pytest.mark.slow
 def test_two_effects_behind_the_valve_of_a_linear_machine_are_both_named():
     diagnosis = diagnose([recorded(
