@@ -46,7 +46,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               1e-6, 1e-4, read_only=True,
               source='convergence: test/actuator/test_model_convergence.py'),
 
-    Parameter('command_path.delay', 0.0, 's', 'Transport delay of the valve command', 0.0, 0.05),
+    Parameter('command_path.delay', 0.0, 's', 'Transport delay of the valve command', 0.0, 0.1),
     Parameter('command_path.quantum', 0.0, 'N', 'Step of the quantised valve command; 0: none',
               0.0, 1e3),
     Parameter('command_path.rounding', 'nearest', '',
@@ -131,8 +131,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('valve_characteristic.supply_drop', 0.0, '',
               'Share of the thrust that is missing for lack of supply pressure', -1.0, 0.99),
     Parameter('valve_characteristic.supply_sag', 0.0, '',
-              'Share of the thrust that is lost in steady state with the valve fully open',
-              0.0, 0.99),
+              'Share of the thrust that is lost in steady state with the valve fully open; '
+              'above 1: all of it is lost at less', 0.0, 3.0),
     Parameter('valve_characteristic.supply_time', 0.3, 's', 'Time constant of that loss',
               1e-3, 10.0),
 

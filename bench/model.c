@@ -509,7 +509,7 @@ static void jump(struct state *s, double command, const struct parameters *p,
             (p->valve_flexure_model == LINEAR ? p->valve_flexure_linear_gain : 1.0) * s->drive, p),
             p);
     s->static_force = static_force(s->valve_position, p)
-        * (1.0 - p->valve_characteristic_supply_sag * s->supply_load);
+        * fmax(1.0 - p->valve_characteristic_supply_sag * s->supply_load, 0.0);
     if (p->load_type == PRESCRIBED)
         s->velocity = prescribed_velocity(s->time, p);
     s->friction_force = friction(s->seal, s->velocity, s->velocity, p, 0.0).force;
@@ -561,7 +561,7 @@ static inline void substep(struct state *s, double command, const struct paramet
     double opening = valve_opening(s->valve_position, p);
     if (p->valve_characteristic_supply_sag > 0.0) {
         s->supply_load = fabs(opening) + k->supply_keep * (s->supply_load - fabs(opening));
-        s->static_force *= 1.0 - p->valve_characteristic_supply_sag * s->supply_load;
+        s->static_force *= fmax(1.0 - p->valve_characteristic_supply_sag * s->supply_load, 0.0);
     }
 
     load(s, static_before, opening, p, k);

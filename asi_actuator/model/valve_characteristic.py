@@ -58,4 +58,5 @@ def supplied(state, static, opening, keep, p):
     opening: of the valve, -1 to 1; keep: share of the past that is left after the time.
     """
     state.supply_load = abs(opening) + keep * (state.supply_load - abs(opening))
-    return static * (1.0 - p.valve_characteristic_supply_sag * state.supply_load)
+    sag = p.valve_characteristic_supply_sag * state.supply_load
+    return static * max(1.0 - sag, 0.0)

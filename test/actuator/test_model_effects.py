@@ -185,6 +185,9 @@ def test_supply_pressure_drops_and_sags() -> None:
     opening = GAIN * 1000.0 / 1000.0
     expected = GAIN * 1000.0 * (1.0 - 0.4 * opening * (1.0 - np.exp(-time / 0.2)))
     np.testing.assert_allclose(sag, expected, atol=0.05)
+    none = force({'valve_characteristic.supply_sag': 3.0, 'valve_characteristic.supply_time': 0.2},
+                 command)
+    assert none[-1] == 0.0   # all of it is lost, and no more
 
 
 def test_leakage_divides_the_force_and_makes_its_lag_faster() -> None:

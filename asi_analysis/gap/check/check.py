@@ -110,12 +110,17 @@ def run_cases(folder: Path, progress: Progress) -> list[Row]:
     except (OSError, ValueError, TypeError, LookupError, RecursionError) as error:
         raise InputError(f'{reading} cannot be read: {_reason(error)}') from None
     write_text(path, ''.join(whole))
+
+    def report() -> None:
+        progress(f'{len(rows)} of {len(index)} cases diagnosed', len(rows) / max(len(index), 1))
+
+    report()
     with path.open('a') as file:
         for row in each(examine, ((folder, entry) for entry in left)):
             rows.append(row)
             file.write(json.dumps(rows[-1]) + '\n')
             file.flush()
-            progress(f'{len(rows)} of {len(index)} cases', len(rows) / len(index))
+            report()
     return sorted(rows, key=lambda row: row['bag'])
 
 

@@ -255,28 +255,34 @@ def _of_simulator(p: np.void, model: Mapping[str, Value], but: Collection[str] =
                 parameter, model.get(parameter.name, parameter.default)):
             continue
         changed[parameter.name] = (parameter.choices[int(found)] if parameter.choices else
-                                   _allowed(parameter.name, float(found)))
+                                   float(found))
     return changed
 
 
-def _allowed(name: str, value: Value) -> Value:
-    """Return a value, limited to the range of its parameter."""
-    parameter = next(p for p in ACTUATOR_PARAMETERS if p.name == name)
-    if not isinstance(parameter.default, float):
-        return value
-    return float(min(max(float(value), parameter.low), parameter.high))
+def _limited(values: Mapping[str, Value]) -> tuple[dict[str, Value], list[str]]:
+    """Return values, limited to the ranges of their parameters, and what that leaves out."""
+    allowed, beyond = dict(values), []
+    for parameter in ACTUATOR_PARAMETERS:
+        value = values.get(parameter.name)
+        if isinstance(parameter.default, float) and isinstance(value, float):
+            allowed[parameter.name] = min(max(value, parameter.low), parameter.high)
+            if allowed[parameter.name] != value:
+                beyond.append(f'{parameter.name} {value:.3g}, which is limited to '
+                              f'{allowed[parameter.name]:.3g}')
+    return allowed, beyond
 
 
 def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
                    ) -> tuple[dict[str, Value], list[str]]:
     """
-    Return the improved parameters, and the fields of effects for which there is none.
+    Return the improved parameters, and what they leave out.
 
+    That is: fields of effects for which there is no parameter, and values beyond its range.
     model: nominal parameters by dotted name; records: of the verdict, one for each group.
     """
     values = dict(model)
     if all(map(of_simulator, records)):
-        return values | _of_simulator(records[-1], model), []
+        return _limited(values | _of_simulator(records[-1], model))
     # Of the simulator, the record of what follows the valve holds the valve's parameters too.
     for p in filter(of_simulator, records):
         values |= _of_simulator(p, model, OF_VALVE if p is not records[0] else ())
@@ -287,14 +293,15 @@ def improved_model(model: Mapping[str, Value], records: Sequence[np.void]
             fitted = p[field_name(parameter.name)]
             if (isinstance(parameter.default, float) and not parameter.read_only
                     and fitted != as_number(parameter, given)):
-                values[parameter.name] = _allowed(parameter.name, float(fitted))
-    whole = completed(values, ACTUATOR_PARAMETERS)
+                values[parameter.name] = float(fitted)
+    whole = completed(_limited(values)[0], ACTUATOR_PARAMETERS)
     missing: list[str] = []
     for p in by_blocks:
-        values |= {name: _allowed(name, value) for name, value in improved(p, whole).items()}
+        values |= improved(p, whole)
         missing += left_out(p, whole)
     if len(records) > 1:   # the valve was fitted with the nominal opening and thrust
         valve, rest = records
-        gain = metres_per_newton(valve) * rest[THRUST] / rest[OPENING]
-        values['valve_characteristic.gain'] = _allowed('valve_characteristic.gain', float(gain))
-    return values, missing
+        values['valve_characteristic.gain'] = float(
+            metres_per_newton(valve) * rest[THRUST] / rest[OPENING])
+    values, beyond = _limited(values)
+    return values, missing + beyond

@@ -96,6 +96,14 @@ def test_what_the_simulator_cannot_hold_is_said() -> None:
     assert missing == ['sensor_drift_bend', 'disturbance_wave']
 
 
+def test_what_is_beyond_the_range_of_a_parameter_is_said() -> None:
+    record = found('transport_delay')
+    record['command_delay'] = 0.2
+    values, missing = improved_model(TEXTBOOK, [record])
+    assert values['command_path.delay'] == 0.1
+    assert missing == ['command_path.delay 0.2, which is limited to 0.1']
+
+
 def test_friction_adds_to_that_of_the_nominal_model() -> None:
     nominal = TEXTBOOK | {'friction.model': 'full'}
     record = plant_record(nominal)
