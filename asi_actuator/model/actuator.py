@@ -26,6 +26,7 @@ from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
+    sagged,
     supplied,
     valve_characteristic,
     valve_opening,
@@ -170,7 +171,7 @@ def motion_jump(state, p):
     """Let all behind the valve jump to the position (m) to which the valve has jumped."""
     state.static_force = valve_characteristic(state.valve_position, p)
     if p.valve_characteristic_supply_sag > 0.0:
-        state.static_force *= 1.0 - p.valve_characteristic_supply_sag * state.supply_load
+        state.static_force = sagged(state.static_force, state.supply_load, p)
     if p.load_type == PRESCRIBED:
         state.velocity = prescribed_velocity(state.time, p)
     state.friction_force = friction(state.seal, state.velocity, state.velocity, p, 0.0).force

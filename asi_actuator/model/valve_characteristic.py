@@ -51,6 +51,12 @@ def valve_characteristic(position, p):
 
 
 @jit
+def sagged(static, load, p):
+    """Return the static force (N) that is left of one when the supply has seen a load (0 to 1)."""
+    return static * max(1.0 - p.valve_characteristic_supply_sag * load, 0.0)
+
+
+@jit
 def supplied(state, static, opening, keep, p):
     """
     Return the static force (N) that the sagging supply gives; updates how far it has sagged.
@@ -58,5 +64,4 @@ def supplied(state, static, opening, keep, p):
     opening: of the valve, -1 to 1; keep: share of the past that is left after the time.
     """
     state.supply_load = abs(opening) + keep * (state.supply_load - abs(opening))
-    sag = p.valve_characteristic_supply_sag * state.supply_load
-    return static * max(1.0 - sag, 0.0)
+    return sagged(static, state.supply_load, p)
