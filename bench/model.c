@@ -602,7 +602,7 @@ static inline double arrived(const struct state *s, long number, const struct co
     return newer + clamp(k->delay_substeps - number, 0.0, 1.0) * (older - newer);
 }
 
-/* `simulate` of asi_actuator/model/actuator.py without noise and lost readings; out: 4 rows of n. */
+/* `simulate` of asi_actuator/model/actuator.py without noise, lost readings and uneven delays; out: 4 rows of n. */
 void simulate(const struct parameters *p, const double *commands, long n, double period,
               struct state *s, double *out)
 {

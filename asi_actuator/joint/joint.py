@@ -86,8 +86,8 @@ def prepare(p, period):
     """Return what is the same in every sub-step of control periods of `period` s."""
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
-    return Steady(count, h, two_masses(p), command_delay(p, period, h), drive_step(p, h),
-                  sensors_step(p, h))
+    return Steady(count, h, two_masses(p), command_delay(p.command_path_delay, period, h),
+                  drive_step(p, h), sensors_step(p, h))
 
 
 @jit

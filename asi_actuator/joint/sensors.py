@@ -7,7 +7,8 @@ Offset, gain and drift are added at the reading; lags move with the sub-steps.
 import math
 from typing import NamedTuple
 
-from asi_actuator.model.force_sensor import normal, reading
+from asi_actuator.model.chance import normal
+from asi_actuator.model.force_sensor import reading
 from asi_actuator.model.linear_lag import FirstOrder, first_order_or_none
 from asi_common.jit import inlined, jit
 

@@ -12,7 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.backlash import two_masses
-from asi_actuator.model.command_path import CommandDelay, arrived, command_delay, sent
+from asi_actuator.model.command_path import (
+    CommandDelay,
+    arrived,
+    command_delay,
+    delay_now,
+    sent,
+)
 from asi_actuator.model.fluid_dynamics import fluid_dynamics, fluid_gain, leaking, leaks
 from asi_actuator.model.force_sensor import (
     SensorStep,
@@ -141,7 +147,7 @@ def prepare(p, period):
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
     return Steady(count, h, leaks(p), two_masses(p), magnet_step(p, 0.5 * h),
-                  command_delay(p, period, h),
+                  command_delay(p.command_path_delay, period, h),
                   math.exp(-h / p.valve_characteristic_supply_time), flexure_step(p, h),
                   fluid_dynamics(p, h), sensor_step(p, h))
 
@@ -229,9 +235,10 @@ def advance(state, command, p, steady):
         for _ in range(steady.substeps):
             substep(state, limited, p, steady)
     else:
-        jump(state, arrived(state, 0, steady.command), p)
+        delay = delay_now(state, p, steady)
+        jump(state, arrived(state, 0, delay), p)
         for number in range(steady.substeps):
-            substep(state, arrived(state, number, steady.command), p, steady)
+            substep(state, arrived(state, number, delay), p, steady)
     state.sample += 1
     if p.force_sensor_drop_rate > 0.0:
         keep_reading(state, p)
@@ -246,11 +253,11 @@ def advance_valve(state, command, p, steady, positions):
     """
     limited = sent(state, command, p)
     delayed = p.command_path_delay > 0.0
-    valve_jump(state, arrived(state, 0, steady.command) if delayed else limited, p)
+    delay = delay_now(state, p, steady)
+    valve_jump(state, arrived(state, 0, delay) if delayed else limited, p)
     positions[0] = state.valve_position
     for number in range(steady.substeps):
-        valve_substep(state, arrived(state, number, steady.command) if delayed else limited, p,
-                      steady)
+        valve_substep(state, arrived(state, number, delay) if delayed else limited, p, steady)
         positions[number + 1] = state.valve_position
     state.sample += 1
 

@@ -3,12 +3,14 @@ Command path: what happens to the valve command before it drives the coil.
 
 A limit of the drive (a current-limited amplifier), steps of a converter, and a transport delay.
 The command is held over a control period, so its delay is exact: in each sub-step the mean of the
-command that was sent `delay` earlier.
+command that was sent `delay` earlier. The delay of a busy bus or network is uneven: in each period
+it is drawn from a range.
 """
 
 import math
 from typing import NamedTuple
 
+from asi_actuator.model.chance import LATE, uniform
 from asi_actuator.parameters import RING
 from asi_common.jit import jit
 
@@ -23,17 +25,27 @@ class CommandDelay(NamedTuple):
 
 
 @jit
-def command_delay(p, period, h):
+def command_delay(delay, period, h):
     """
-    Return the delay of the command for control periods of `period` s in sub-steps of `h` s.
+    Return a delay (s) of the command for control periods of `period` s in sub-steps of `h` s.
 
     At most RING - 2 control periods, so that the ring holds it.
     """
-    if p.command_path_delay == 0.0:
+    if delay == 0.0:
         return CommandDelay(0, 0.0)
-    periods = min(int(p.command_path_delay / period), RING - 2)
-    rest = min((p.command_path_delay - periods * period) / h, period / h)
+    periods = min(int(delay / period), RING - 2)
+    rest = min((delay - periods * period) / h, period / h)
     return CommandDelay(periods, rest)
+
+
+@jit
+def delay_now(state, p, steady):
+    """Return the delay of the command in this control period; drawn for it if it is uneven."""
+    if p.command_path_delay_spread == 0.0:
+        return steady.command
+    share = 2.0 * uniform(int(p.force_sensor_noise_seed), state.sample, LATE) - 1.0
+    delay = p.command_path_delay + share * min(p.command_path_delay_spread, p.command_path_delay)
+    return command_delay(delay, steady.substeps * steady.h, steady.h)
 
 
 @jit
@@ -58,10 +70,10 @@ def sent(state, command, p):
 
 
 @jit
-def arrived(state, number, steady):
+def arrived(state, number, delay):
     """Return the mean command (N) over sub-step `number` of this control period, delayed."""
     # The command before the first one is zero: the ring starts so.
-    newer = state.command_ring[(state.sample - steady.periods) & (RING - 1)]
-    older = state.command_ring[(state.sample - steady.periods - 1) & (RING - 1)]
-    share = min(max(steady.substeps - number, 0.0), 1.0)
+    newer = state.command_ring[(state.sample - delay.periods) & (RING - 1)]
+    older = state.command_ring[(state.sample - delay.periods - 1) & (RING - 1)]
+    share = min(max(delay.substeps - number, 0.0), 1.0)
     return newer + share * (older - newer)

@@ -9,8 +9,7 @@ required"). Null by default: two further lags, a drift of the offset, and lost r
 import math
 from typing import Final, NamedTuple
 
-import numpy as np
-
+from asi_actuator.model.chance import LOST, normal, uniform
 from asi_actuator.model.delay import DelaySteps, delay, delay_steps
 from asi_actuator.model.linear_lag import (
     FirstOrder,
@@ -80,25 +79,6 @@ def _conditioned(state, force_before, force_after, p, steady):
 
 
 @jit
-def _mix(number):
-    """Return a well-mixed number (SplitMix64; Steele, Lea, Flood 2014)."""
-    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return number ^ (number >> np.uint64(31))
-
-
-@jit
-def normal(seed, sample):
-    """Return a standard normal number that depends on nothing but `seed` and `sample`."""
-    start = _mix(np.uint64(seed)) + np.uint64(2 * sample) * np.uint64(0x9E3779B97F4A7C15)
-    first = _mix(start) >> np.uint64(11)
-    second = _mix(start + np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(11)
-    # 53 random bits each, the first never 0; Box and Muller 1958.
-    radius = math.sqrt(-2.0 * math.log((first + 1.0) / 9007199254740993.0))
-    return radius * math.cos(2.0 * math.pi * second / 9007199254740992.0)
-
-
-@jit
 def reading(force, sample, time_s, p):
     """
     Return what the sensor reads (N) of a sensed force (N).
@@ -117,10 +97,7 @@ def reading(force, sample, time_s, p):
 @jit
 def keep_reading(state, p):
     """Take note of the newest reading that was not lost, for `held_reading`."""
-    number = np.uint64(2 * state.sample + 1) * np.uint64(0x9E3779B97F4A7C15)
-    start = _mix(np.uint64(p.force_sensor_noise_seed) + np.uint64(0x2545F4914F6CDD1D))
-    uniform = (_mix(start + number) >> np.uint64(11)) / 9007199254740992.0
-    if uniform >= p.force_sensor_drop_rate:
+    if uniform(int(p.force_sensor_noise_seed), state.sample, LOST) >= p.force_sensor_drop_rate:
         state.kept_reading = reading(state.sensed, state.sample, state.time, p)
 
 

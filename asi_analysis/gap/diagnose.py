@@ -46,6 +46,7 @@ from asi_analysis.gap.inference.probability import (
 )
 from asi_analysis.gap.inference.simulated.own_laws import OwnLaws, by_own_laws
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
+from asi_analysis.gap.inference.simulated.uneven_delay import how_uneven
 from asi_analysis.gap.inference.uncertainty import (
     Likelihood,
     at_limit,
@@ -272,7 +273,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
               for each in weighed for channel in not_white(each.group)]
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
                        None, healthy, machine)
-    notes += filter(None, (place_of_gap(answer.best(each)) for each in weighed))
+    notes += filter(None, (of(answer.best(each)) for each in weighed
+                           for of in (place_of_gap, how_uneven)))
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record, elsewhere=plant == 'actuator')
                for w in weighed for channel in w.group.channels]

@@ -4,6 +4,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 from scipy.signal import lfilter
 
 from asi_analysis.arrays import Array, Complex, Mask
@@ -64,10 +65,24 @@ def noise_of_colour(count: int, colour: tuple[float, ...], random: np.random.Gen
 
 def whitened(error: Array, valid: Mask, colour: tuple[float, ...]) -> Array:
     """Return an error whose noise has this colour, with white noise of the same variance."""
-    index = np.arange(error.size)
-    bridged = np.interp(index, index[valid], error[valid])
     return math.sqrt(gain_of_noise(colour)) * lfilter(
-        [1.0, *(-each for each in colour)], [1.0], bridged)
+        [1.0, *(-each for each in colour)], [1.0], _over_gaps(error, valid))
+
+
+def whitened_by(factor: Array, error: Array, valid: Mask) -> Array:
+    """
+    Return an error with white noise.
+
+    factor: of the covariance over the variance of that white noise, the lower one by Cholesky, n
+    rows with its bands.
+    """
+    return dtbtrs(factor.T, _over_gaps(error, valid), uplo='L')[0]
+
+
+def _over_gaps(error: Array, valid: Mask) -> Array:
+    """Return an error, interpolated where it is not valid."""
+    index = np.arange(error.size)
+    return np.interp(index, index[valid], error[valid])
 
 
 def _whitener(frequency: Array, colour: tuple[float, ...]) -> Complex:

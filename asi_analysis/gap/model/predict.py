@@ -16,7 +16,7 @@ from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import Recording
-from asi_analysis.gap.sampling import noise_of_colour, whitened
+from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by
 from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
@@ -328,8 +328,12 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
     """
     error: Array = measured(recording, channel) - predict(recording, channel, p)
     colour = recording.colour.get('valve_position' if channel == 'valve' else channel)
-    if colour and simulator.of_simulator(p):
-        error = whitened(error, recording.valid, colour)
+    if simulator.of_simulator(p):
+        if channel == 'valve' and p[simulator.SPREAD] > 0.0 and (
+                recording.uneven_delay is not None):
+            error = whitened_by(recording.uneven_delay, error, recording.valid)
+        elif colour:
+            error = whitened(error, recording.valid, colour)
     if channel not in MOTIONS or recording.motion is None:
         return error
     return judged(error, recording.motion)

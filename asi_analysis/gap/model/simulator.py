@@ -48,6 +48,9 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
 VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
+# Fields of the delays of the command.
+DELAYS = ('command_path_delay', 'valve_flexure_delay')
+SPREAD = 'command_path_delay_spread'
 # Fields of the errors of the valve's fit, and their largest size, standard deviations.
 VALVE_ERROR, MOST_ERROR = 'valve_error_', 6.0
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
@@ -108,8 +111,10 @@ def of_simulator(p: np.void) -> bool:
 
 
 def _actuator(p: np.void) -> np.void:
-    """Return the actuator's own fields of a record."""
-    return np.frombuffer(bytearray(p.tobytes()), ACTUATOR_DTYPE, 1)[0]
+    """Return the actuator's own fields of a record, with the mean of an uneven delay."""
+    q = np.frombuffer(bytearray(p.tobytes()), ACTUATOR_DTYPE, 1)[0]
+    q[SPREAD] = 0.0
+    return q
 
 
 def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
@@ -329,11 +334,27 @@ def missed_force(recording: Recording, p: np.void) -> Array:
 
 def valve_response(recording: Recording, p: np.void, samples: int, count: int) -> Any:
     """Return the linear frequency response of the valve, from `samples` of its step response."""
+    ends = _step_response(_actuator(p), recording.period_s, samples)
+    out = np.concatenate([[0.0], ends[:-1]])
+    return np.fft.rfft(np.diff(out, append=out[-1]), count)
+
+
+def pulse_response(p: np.void, period_s: float, samples: int) -> Array:
+    """
+    Return the linear response (m/N) of the valve, at the end of each period, to a command in one.
+
+    Without delays: from the period on in which the command arrives.
+    """
     q = _actuator(p)
+    for name in DELAYS:
+        q[name] = 0.0
+    return np.diff(_step_response(q, period_s, samples), prepend=0.0)
+
+
+def _step_response(q: np.void, period_s: float, samples: int) -> Array:
+    """Return the linear response (m/N) of the valve at the end of periods with a command."""
     q['valve_hysteresis_model'] = OFF
     for name in ('command_path_quantum', 'valve_flexure_deadband', 'valve_flexure_bias',
                  'valve_flexure_travel_limit'):
         q[name] = 0.0
-    ends = _valve(np.zeros(1, STATE_DTYPE)[0], np.ones(samples), q, recording.period_s)[:, -1]
-    out = np.concatenate([[0.0], ends[:-1]])
-    return np.fft.rfft(np.diff(out, append=out[-1]), count)
+    return _valve(np.zeros(1, STATE_DTYPE)[0], np.ones(samples), q, period_s)[:, -1]

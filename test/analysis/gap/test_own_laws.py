@@ -8,11 +8,16 @@ from test_gap import REAL, TEXTBOOK, recorded
 
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
+from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
+from asi_analysis.gap.inference.simulated import uneven_delay
+from asi_analysis.gap.inference.simulated.uneven_delay import covariance_factor
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import has_linear_laws
+from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.sampling import whitened_by
 
 
 @pytest.mark.parametrize(('changed', 'effect'), [
@@ -36,6 +41,48 @@ def test_lag_of_two_poles_and_a_bias_are_no_delay():
     improved = improved_of(diagnosis, TEXTBOOK)
     poles = sorted(improved[f'valve_flexure.{name}'] for name in ('lag_time', 'second_lag_time'))
     assert poles == pytest.approx([0.003, 0.007], rel=0.15)
+
+
+@pytest.mark.parametrize('spread', [0.0004, 0.0012])
+def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
+    """It leaves up to five times the noise, which a constant delay does not explain."""
+    diagnosis = diagnose([recorded(command_path__delay=0.004,
+                                   command_path__delay_spread=spread)], TEXTBOOK)
+    assert diagnosis.verdict == ('transport_delay',)
+    improved = improved_of(diagnosis, TEXTBOOK)
+    assert improved['command_path.delay'] == pytest.approx(0.004, rel=0.05)
+    assert improved['command_path.delay_spread'] == pytest.approx(spread, rel=0.3)
+    assert any('differs from period to period' in note for note in diagnosis.notes)
+
+
+def test_a_constant_delay_is_not_called_uneven():
+    diagnosis = diagnose([recorded(command_path__delay=0.004)], TEXTBOOK)
+    assert improved_of(diagnosis, TEXTBOOK).get('command_path.delay_spread', 0.0) == 0.0
+
+
+def test_errors_of_an_uneven_delay_are_made_white(monkeypatch):
+    """The covariance is that of many runs of the simulator; exactly, if a period is cut finely."""
+    time = np.arange(1200) * 1e-3
+    command = 500.0 * np.sign(np.sin(2.0 * np.pi * 12.0 * time + 0.1))
+    late, noise = REAL | {'command_path.delay': 0.0031}, 2e-8
+    even = simulate(as_record(late), command, 1e-3).valve_position_m
+    runs = [simulate(as_record(late | {
+        'command_path.delay_spread': 0.0008, 'force_sensor.noise_seed': seed}),
+        command, 1e-3).valve_position_m - even for seed in range(1, 2001)]
+    recording = prepare([Run(time, command_n=command, force_n=0.0 * even,
+                             valve_position_m=even, source='real')])[0]
+    known = np.ones(1200, bool)
+
+    def variance():
+        factor = covariance_factor(recording, as_record(late), 0.0008, noise ** 2)
+        late_, sensor = ([whitened_by(factor, each, known) for each in errors]
+                         for errors in (runs, noise * np.eye(1200)))
+        white = np.mean(np.square(late_), axis=0) + np.sum(np.square(sensor), axis=0)
+        return white[150:] / noise ** 2   # before the recording, the command may have been another
+
+    assert variance().mean() == pytest.approx(1.0, abs=0.1)
+    monkeypatch.setattr(uneven_delay, 'CUTS', 8)
+    assert variance() == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_supply_that_sags_may_have_been_in_use_before_the_recording():

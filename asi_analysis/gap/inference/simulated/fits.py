@@ -83,14 +83,16 @@ def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
     if _colour(louder) == _colour(best.problem.group):
         return {names: each.weighed_as(problem_of(each)) for names, each in found.items()}
-
-    def again(each: Found, goal: float = math.inf) -> Found:
-        moved = each._replace(problem=problem_of(each)).at(each.best.theta)
-        return moved._replace(best=moved.best._replace(slopes=None)).refined(goal=goal)
-
-    leader = again(best)
+    leader = refitted_as(best, problem_of(best))
     goal = leader.best.cost + COST_RANGE
-    return {names: leader if each is best else again(each, goal) for names, each in found.items()}
+    return {names: leader if each is best else refitted_as(each, problem_of(each), goal)
+            for names, each in found.items()}
+
+
+def refitted_as(found: Found, problem: Posterior, goal: float = math.inf) -> Found:
+    """Return a hypothesis, refitted as another problem of the same parameters."""
+    moved = found._replace(problem=problem).at(found.best.theta)
+    return moved._replace(best=moved.best._replace(slopes=None)).refined(goal=goal)
 
 
 def _colour(group: Group) -> list[dict[str, tuple[float, ...]]]:

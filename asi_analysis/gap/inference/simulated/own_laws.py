@@ -27,6 +27,7 @@ from asi_analysis.gap.inference.simulated.search import (
     with_free_gain,
     with_pairs,
 )
+from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, has_one_law
 from asi_analysis.gap.model.group import Group
 
@@ -90,7 +91,7 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     pairs: whether pairs of effects are fitted.
     """
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
-    found = with_noise_left(single_effects(null, tick, True))
+    found = with_uneven_delay(with_noise_left(single_effects(null, tick, True)))
     found = _with_pairs(found, tick) if pairs else found
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())

@@ -59,6 +59,7 @@ from asi_analysis.gap.inference.simulated.nominal_fit import (
     with_start_of_fit,
 )
 from asi_analysis.gap.inference.simulated.screen import Start, screen
+from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
@@ -234,7 +235,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
 
     only: as in `single_effects`; alone: as in `explained_by_simulator`.
     """
-    found = with_noise_left(single_effects(null, tick, alone, only))
+    found = with_uneven_delay(with_noise_left(single_effects(null, tick, alone, only)))
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
     pairs = with_pairs(found, tick, alone)
