@@ -38,8 +38,8 @@ from asi_common.parameter import Value
 from asi_common.record import copy_of, with_fields
 
 # Sub-steps that are tried, the longest first, and their largest integration error (rms), as a
-# share of the rms error floor.
-SUBSTEPS_S, SUBSTEP_ERROR = (5e-4, 2.5e-4, 1e-4, 5e-5), 0.2
+# share of the rms error floor; at the end of a fit.
+SUBSTEPS_S, SUBSTEP_ERROR, FINAL_ERROR = (5e-4, 2.5e-4, 1e-4, 5e-5), 0.2, 0.02
 # Fields that the valve position depends on.
 VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
@@ -224,20 +224,20 @@ def _errors(count: int) -> list[str]:
 
 
 def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,
-                     floor: Mapping[str, float], shortest: float
+                     floor: Mapping[str, float], shortest: float, error: float = SUBSTEP_ERROR
                      ) -> tuple[list[Recording], float]:
     """
     Return recordings with corrections for the longest possible sub-step (s), and that sub-step.
 
-    Its integration error is at most SUBSTEP_ERROR. floor: error floor by channel, mean square;
-    shortest: sub-step that needs no correction, s.
+    floor: error floor by channel, mean square; shortest: sub-step that needs no correction, s;
+    error: its largest integration error (rms), as a share of the rms error floor.
     """
     exact = _predictions(recordings, channels, p, shortest)
     for substep in SUBSTEPS_S:
         if substep <= shortest:
             break
         found = corrected(recordings, channels, p, substep, exact)
-        if all(np.sqrt(np.mean(each.corrections[channel] ** 2) / floor[channel]) < SUBSTEP_ERROR
+        if all(np.sqrt(np.mean(each.corrections[channel] ** 2) / floor[channel]) < error
                for each in found for channel in channels):
             return found, substep
     return [replace(recording, corrections={}, cache={}) for recording in recordings], shortest

@@ -1,6 +1,6 @@
 """A linear nominal model: the simulator's own laws are asked first (own_laws.py)."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,10 +12,13 @@ from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.simulated import uneven_delay
+from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
+from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.uneven_delay import covariance_factor
 from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.group import simulator_group
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.simulator import has_linear_laws
+from asi_analysis.gap.model.simulator import has_linear_laws, simulator_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.sampling import whitened_by
 
@@ -106,7 +109,7 @@ def test_two_effects_behind_the_valve_of_a_linear_machine_are_both_named():
 def test_what_no_law_explains_is_unknown():
     run = recorded()[:3000]
     ripple = 6.0 * np.sin(2.0 * np.pi * run.position_m / 3e-4)
-    assert diagnose([dataclasses.replace(run, force_n=run.force_n + ripple)],
+    assert diagnose([replace(run, force_n=run.force_n + ripple)],
                     TEXTBOOK).verdict == ('unknown',)
 
 
@@ -146,7 +149,7 @@ def test_gain_of_the_valve_goes_with_its_opening():
 def test_unknown_gap_adds_no_improbable_effect():
     run = recorded()[:3000]
     uneven = 8.0 * np.sign(np.sin(2.0 * np.pi * run.position_m / 1e-3))
-    diagnosis = diagnose([dataclasses.replace(run, force_n=run.force_n + uneven)], TEXTBOOK)
+    diagnosis = diagnose([replace(run, force_n=run.force_n + uneven)], TEXTBOOK)
     assert diagnosis.verdict == ('unknown',)
     assert [diagnosis.best(each).names for each in diagnosis.groups] == [(), ()]
 
@@ -171,3 +174,23 @@ def test_valve_of_the_block_wise_fits_is_the_simulators(values):
     blocks.valve(command, *blocks.parts(p), period, 8, valve)
     simulated = simulate(as_record(values), command, period).valve_position_m
     assert np.std((valve - simulated)[1000:]) < 1e-3 * np.std(simulated)
+
+
+def test_a_fit_with_long_sub_steps_ends_where_one_with_short_ones_does():
+    """The frequency of a resonance changes the integration error: its correction does not."""
+    nominal = TEXTBOOK | {'valve_flexure.natural_frequency': 890.0}
+    run = recorded(real=nominal | {'valve_flexure.coil_frequency': 23.0,
+                                   'valve_flexure.delay': 0.00083})
+    coarse = null_fit(simulator_group(simulator_record(nominal), prepare([run]), ('valve',),
+                                      linear=True))
+    fine, = with_fine_substeps({(): coarse}).values()
+
+    def gain(found):
+        """Return what a fit without longer sub-steps still gains, nats."""
+        fixed = {'maximum_substep': found.problem.group.exact_substep_s}
+        exact = found._replace(problem=replace(found.problem, fixed=tuple(fixed.items())))
+        exact = exact.at(found.best.theta)
+        return exact.best.cost - exact._replace(best=exact.best._replace(
+            slopes=None)).refined(converged=0.0).best.cost
+
+    assert gain(fine) < 0.5 < gain(coarse)

@@ -18,7 +18,7 @@ from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
-from asi_analysis.gap.model.simulator import SUBSTEPS_S
+from asi_analysis.gap.model.simulator import FINAL_ERROR, SUBSTEPS_S, with_corrections
 
 # The integration error of a long sub-step is corrected again after each fit: at most so often, and
 # until that changes the log posterior by less than SETTLED, or by less than a share of what noise
@@ -65,6 +65,31 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(
         problem, found.best.theta, goal=goal)), goal)
+
+
+def with_fine_substeps(found: Mapping[Names, Found]) -> dict[Names, Found]:
+    """
+    Return hypotheses; those that compete are refitted with sub-steps that need no correction.
+
+    The correction of a longer one holds at the fitted parameters, not beside them: where it
+    changes fast with a parameter, as the frequency of a resonance, a fit ends off its optimum.
+    """
+    least = min(each.best.cost for each in found.values())
+
+    def again(each: Found) -> Found:
+        group, p = each.problem.group, each.problem.record(each.best.theta)
+        recordings, substep = with_corrections(
+            group.recordings, group.channels, p, group.error_floor, group.exact_substep_s,
+            FINAL_ERROR)
+        if substep >= p['maximum_substep']:
+            return each
+        fixed = dict(each.problem.fixed) | {'maximum_substep': substep}
+        problem = replace(each.problem, fixed=tuple(fixed.items()),
+                          group=replace(group, recordings=recordings))
+        return each._replace(problem=problem).at(each.best.theta).refined()
+
+    return {names: again(each) if each.best.cost < least + COST_RANGE else each
+            for names, each in found.items()}
 
 
 def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:

@@ -17,7 +17,11 @@ from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
-from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit, with_noise_left
+from asi_analysis.gap.inference.simulated.fits import (
+    with_fine_substeps,
+    with_noise_from_fit,
+    with_noise_left,
+)
 from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
@@ -93,6 +97,7 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
     found = with_uneven_delay(with_noise_left(single_effects(null, tick, True)))
     found = _with_pairs(found, tick) if pairs else found
+    found = with_fine_substeps(found) if group.channels == ('valve',) else found
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
