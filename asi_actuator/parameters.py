@@ -46,10 +46,10 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               1e-6, 1e-4, read_only=True,
               source='convergence: test/actuator/test_model_convergence.py'),
 
-    Parameter('command_path.delay', 0.0, 's', 'Transport delay of the valve command', 0.0, 0.1),
+    Parameter('command_path.delay', 0.0, 's', 'Transport delay of the valve command', 0.0, 0.05),
     Parameter('command_path.delay_spread', 0.0, 's',
               'Half width of the range in which the delay lies, at random in each control period; '
-              'at most the delay itself', 0.0, 0.1),
+              'at most the delay itself', 0.0, 0.05),
     Parameter('command_path.quantum', 0.0, 'N', 'Step of the quantised valve command; 0: none',
               0.0, 1e3),
     Parameter('command_path.rounding', 'nearest', '',

@@ -63,7 +63,9 @@ class Recording:
     valve_estimate: Array | None = None   # m, measured valve position with less noise
     # Of noise that is not white, the coefficients of its autoregression, by signal.
     colour: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    # Of the valve's errors, if the delay of the command is uneven: what makes their noise white.
+    # Of the valve's errors, if the delay of the command is uneven: their mean, m, and what makes
+    # their noise white.
+    uneven_mean: Array | None = None
     uneven_delay: Array | None = None
     # Integration error of the simulator's predictions, by channel: to be added to those with this
     # sub-step.

@@ -107,7 +107,7 @@ def _of_any_order(residuals: Sequence[Residual]) -> Noise | None:
                                        powers[0, 1:order + 1]).tolist())
         fresh = errors[:, 0] - errors[:, 1:order + 1] @ np.array(colour)
         lasting = np.abs(np.roots([1.0, *(-each for each in colour)])).max() > STRONGEST
-        if (not lasting and _is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
+        if (not lasting and is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
                 and not _follows(fresh, commands[:, 1:])
                 and not _varies(fresh, commands, velocities)
                 and not _resembles(errors[:, 0], _causes(commands, velocities),
@@ -130,7 +130,7 @@ def _above_some_frequency(residuals: Sequence[Residual]) -> Noise | None:
         most_likely, least = _correlation(spectra[:2, band], turns[band])
         fresh = spectra[1] - most_likely * spectra[0]
         signal, *drives = np.fft.irfft(np.where(band, [fresh, *spectra[2:]], 0.0), count)
-        if (_is_white(np.abs(fresh[band]) ** 2) and _is_normal(signal[taper == 1.0])
+        if (is_white(np.abs(fresh[band]) ** 2) and _is_normal(signal[taper == 1.0])
                 and not _follows(signal, np.array(drives).T, band.mean())):
             # With the lower bound, as the power below the band grows fast with the correlation.
             power = np.abs(spectra[1] - least * spectra[0])[band] ** 2
@@ -179,7 +179,7 @@ def _correlation(spectra: Complex, turns: Array) -> tuple[float, float]:
     return float(best.x), float(brentq(lambda each: unlikely(each) - most, 0.0, best.x))
 
 
-def _is_white(power: Array) -> bool:
+def is_white(power: Array) -> bool:
     """Return whether a periodogram is that of white noise."""
     count, total = np.arange(1, power.size + 1), np.cumsum(power)
     white = count / power.size

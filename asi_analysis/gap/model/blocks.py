@@ -519,7 +519,7 @@ def supplied(z, v, opened, p, e, keep):
         static = e.force_limit * clip_round(static / e.force_limit, e.corner)
     if e.supply_sag != 0.0:
         opened = abs(opening) + keep * (opened - abs(opening))
-    static *= 1.0 - e.supply_drop - e.supply_sag * opened
+    static *= max(1.0 - e.supply_drop - e.supply_sag * opened, 0.0)
     against = v * (e.damping_viscous + e.damping_opening * abs(opening)
                    + e.damping_quadratic * abs(v))
     if p.hydraulic_damping_model == FULL:

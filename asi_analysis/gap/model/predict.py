@@ -329,9 +329,10 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
     error: Array = measured(recording, channel) - predict(recording, channel, p)
     colour = recording.colour.get('valve_position' if channel == 'valve' else channel)
     if simulator.of_simulator(p):
+        mean, factor = recording.uneven_mean, recording.uneven_delay
         if channel == 'valve' and p[simulator.SPREAD] > 0.0 and (
-                recording.uneven_delay is not None):
-            error = whitened_by(recording.uneven_delay, error, recording.valid)
+                mean is not None and factor is not None):
+            error = whitened_by(factor, error - mean, recording.valid)
         elif colour:
             error = whitened(error, recording.valid, colour)
     if channel not in MOTIONS or recording.motion is None:

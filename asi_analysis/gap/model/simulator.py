@@ -87,7 +87,7 @@ def _follow(state, deflection, unit, error, p, period, out):
 def simulator_record(nominal: Mapping[str, Value]) -> np.void:
     """Return the record of nominal parameters for predictions: without noise."""
     p = as_record(nominal)
-    p['force_sensor_noise'] = p['force_sensor_drop_rate'] = 0.0
+    p['force_sensor_noise'] = p['force_sensor_drop_rate'] = p[SPREAD] = 0.0
     return p
 
 

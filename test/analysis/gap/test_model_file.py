@@ -100,8 +100,8 @@ def test_what_is_beyond_the_range_of_a_parameter_is_said() -> None:
     record = found('transport_delay')
     record['command_delay'] = 0.2
     values, missing = improved_model(TEXTBOOK, [record])
-    assert values['command_path.delay'] == 0.1
-    assert missing == ['command_path.delay 0.2, which is limited to 0.1']
+    assert values['command_path.delay'] == 0.05
+    assert missing == ['command_path.delay 0.2, which is limited to 0.05']
 
 
 def test_friction_adds_to_that_of_the_nominal_model() -> None:

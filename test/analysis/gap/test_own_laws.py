@@ -14,7 +14,7 @@ from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
-from asi_analysis.gap.inference.simulated.uneven_delay import covariance_factor
+from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.group import simulator_group
 from asi_analysis.gap.model.predict import plant_record
@@ -58,34 +58,47 @@ def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
     assert any('differs from period to period' in note for note in diagnosis.notes)
 
 
-def test_a_constant_delay_is_not_called_uneven():
-    diagnosis = diagnose([recorded(command_path__delay=0.004)], TEXTBOOK)
+@pytest.mark.parametrize('more', [{}, {'valve_flexure__bias': 40.0}])
+def test_a_constant_delay_is_not_called_uneven(more):
+    diagnosis = diagnose([recorded(command_path__delay=0.004, **more)], TEXTBOOK)
+    assert 'transport_delay' in diagnosis.verdict
     assert improved_of(diagnosis, TEXTBOOK).get('command_path.delay_spread', 0.0) == 0.0
 
 
-def test_errors_of_an_uneven_delay_are_made_white(monkeypatch):
-    """The covariance is that of many runs of the simulator; exactly, if a period is cut finely."""
+def test_what_an_uneven_delay_does_not_explain_is_no_delay():
+    """A static law of the valve that is not linear, behind two lags: errors at each jump."""
+    run = recorded(valve_flexure__lag_time=0.002, valve_flexure__second_lag_time=0.001)
+    bent = run.valve_position_m * (1.0 + 0.05 * np.abs(run.valve_position_m) / 5e-6)
+    assert diagnose([replace(run, valve_position_m=bent)], TEXTBOOK).joined.get(
+        ('transport_delay',), 0.0) < 0.9
+
+
+@pytest.mark.parametrize('spread', [0.0008, 0.0031])
+def test_errors_of_an_uneven_delay_are_made_white(monkeypatch, spread):
+    """Mean and covariance are those of many runs of the simulator; better with finer cuts."""
     time = np.arange(1200) * 1e-3
     command = 500.0 * np.sign(np.sin(2.0 * np.pi * 12.0 * time + 0.1))
     late, noise = REAL | {'command_path.delay': 0.0031}, 2e-8
     even = simulate(as_record(late), command, 1e-3).valve_position_m
     runs = [simulate(as_record(late | {
-        'command_path.delay_spread': 0.0008, 'force_sensor.noise_seed': seed}),
+        'command_path.delay_spread': spread, 'force_sensor.noise_seed': seed}),
         command, 1e-3).valve_position_m - even for seed in range(1, 2001)]
     recording = prepare([Run(time, command_n=command, force_n=0.0 * even,
                              valve_position_m=even, source='real')])[0]
     known = np.ones(1200, bool)
 
     def variance():
-        factor = covariance_factor(recording, as_record(late), 0.0008, noise ** 2)
-        late_, sensor = ([whitened_by(factor, each, known) for each in errors]
-                         for errors in (runs, noise * np.eye(1200)))
+        mean, factor = uneven(recording, as_record(late), spread, noise ** 2)
+        late_, sensor = ([whitened_by(factor, each - off, known) for each in errors]
+                         for errors, off in ((runs, mean), (noise * np.eye(1200), 0.0)))
         white = np.mean(np.square(late_), axis=0) + np.sum(np.square(sensor), axis=0)
-        return white[150:] / noise ** 2   # before the recording, the command may have been another
+        return white[150:] / noise ** 2   # before it begins, the command may have been another
 
-    assert variance().mean() == pytest.approx(1.0, abs=0.1)
-    monkeypatch.setattr(uneven_delay, 'CUTS', 8)
-    assert variance() == pytest.approx(1.0, abs=0.2)
+    coarse = variance()
+    assert coarse.mean() == pytest.approx(1.0, abs=0.05)
+    assert coarse.max() < 1.2   # else chance would be taken for an effect
+    monkeypatch.setattr(uneven_delay, 'CUTS', 16)
+    assert variance().min() > coarse.min() + 0.1
 
 
 def test_a_supply_that_sags_may_have_been_in_use_before_the_recording():
