@@ -8,7 +8,7 @@ import numpy as np
 from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.model.blocks import EFFECT_FIELDS
-from asi_analysis.gap.model.simulator import VALVE_FIELDS, metres_per_newton, of_simulator
+from asi_analysis.gap.model.simulator import SPREAD, VALVE_FIELDS, metres_per_newton, of_simulator
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed, defaults
 from asi_common.record import as_number, field_name
@@ -253,6 +253,8 @@ def _of_simulator(p: np.void, model: Mapping[str, Value], but: Collection[str] =
         found = p[field]
         if parameter.name in NOT_IDENTIFIED or field in but or found == as_number(
                 parameter, model.get(parameter.name, parameter.default)):
+            continue
+        if field == SPREAD and found == 0.0:   # a nominal one counts as even, and stays
             continue
         changed[parameter.name] = (parameter.choices[int(found)] if parameter.choices else
                                    float(found))

@@ -17,6 +17,7 @@ from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.group import simulator_group
+from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import has_linear_laws, simulator_record
 from asi_analysis.gap.prepare import prepare
@@ -56,6 +57,14 @@ def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
     assert improved['command_path.delay'] == pytest.approx(0.004, rel=0.05)
     assert improved['command_path.delay_spread'] == pytest.approx(spread, rel=0.3)
     assert any('differs from period to period' in note for note in diagnosis.notes)
+
+
+def test_an_uneven_delay_of_the_nominal_model_stays_in_the_improved_one():
+    nominal = TEXTBOOK | {'command_path.delay': 0.004, 'command_path.delay_spread': 0.0001}
+    given = simulator_record(nominal)
+    assert given['command_path_delay_spread'] == 0.0
+    given['force_sensor_offset'] = 3.0
+    assert improved_model(nominal, [given])[0] == nominal | {'force_sensor.offset': 3.0}
 
 
 @pytest.mark.parametrize('more', [{}, {'valve_flexure__bias': 40.0}])
