@@ -74,11 +74,12 @@ def with_uneven_delay(found: dict[Names, Found]) -> dict[Names, Found]:
     if delay == 0.0:
         return found
     best = min((_fitted(start, share * delay) for share in WIDTHS), key=lambda each: each.cost)
-    best = _fitted(best.found, _refined_width(best))
     even = min(each.best.cost for each in found.values())
-    beyond_doubt = best.cost < even - COST_RANGE and not best.found.may_lack_an_effect
-    return found | ({(EFFECT,): best.found} if beyond_doubt and _leaves_white_noise(best.found)
-                    else {})
+    if not best.cost < even - COST_RANGE:
+        return found
+    best = _fitted(best.found, _refined_width(best))
+    explains = not best.found.may_lack_an_effect and _leaves_white_noise(best.found)
+    return found | ({(EFFECT,): best.found} if explains else {})
 
 
 def _is_suitable(recording: Recording) -> bool:
@@ -174,7 +175,7 @@ def _refined_width(late: _Late) -> float:
                 np.log(factor[part.valid, 0]).sum())
         return total
 
-    high = min(late.width * ABOUT, float(p[COMMAND]))
+    high = max(min(late.width * ABOUT, float(p[COMMAND])), late.width)
     return float(np.exp(minimize_scalar(
         unlikely, bounds=(np.log(late.width / ABOUT), np.log(high)), method='bounded',
         options={'xatol': 0.02, 'maxiter': 12}).x))
