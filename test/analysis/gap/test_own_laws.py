@@ -59,6 +59,15 @@ def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
     assert any('differs from period to period' in note for note in diagnosis.notes)
 
 
+def test_the_spread_of_a_delay_is_at_most_the_delay():
+    run = recorded()[:1500]
+    short, recording = REAL | {'command_path.delay': 1e-4}, prepare([run])[0]
+    mean, factor = uneven(recording, as_record(short), 0.003, 1e-16)
+    again, same = uneven(recording, as_record(short), 1e-4, 1e-16)
+    assert np.isfinite(factor).all()
+    assert (mean == again).all() and (factor == same).all()
+
+
 def test_an_uneven_delay_of_the_nominal_model_stays_in_the_improved_one():
     nominal = TEXTBOOK | {'command_path.delay': 0.004, 'command_path.delay_spread': 0.0001}
     given = simulator_record(nominal)

@@ -219,10 +219,12 @@ def _arriving(recording: Recording, p: np.void, width: float) -> tuple[Array, Ar
     assert recording.command is not None
     command = np.clip(recording.command, -p['command_limit'], p['command_limit'])
     delay = sum(float(p[name]) for name in DELAYS)
+    width = min(width, float(p[COMMAND]))
     at = np.arange(command.size) + (np.arange(CUTS)[:, None, None] + 0.5) / CUTS
     delays = np.append(delay + width * SHARES, delay)[:, None]
     sent = np.floor(at - delays / recording.period_s)
-    *arrived, even = np.moveaxis(command[np.clip(sent, 0, None).astype(int)], 1, 0)
+    known = np.clip(sent, 0, command.size - 1).astype(int)
+    *arrived, even = np.moveaxis(command[known], 1, 0)
     mean = np.mean(arrived, axis=0)
     changes = np.array(arrived) - mean
     return mean - even, np.einsum('sin,sjn->ijn', changes, changes) / SHARES.size
