@@ -105,7 +105,7 @@ def how_uneven(best: Candidate) -> str | None:
     if EFFECT not in best.names or not of_simulator(p) or not p[SPREAD] > 0.0:
         return None
     return (f'the delay of the command differs from period to period: by about '
-            f'{1e3 * float(p[SPREAD]):.2g} ms either way; the valve is off by chance')
+            f'{1e3 * float(p[SPREAD]):.2g} ms either way, at random')
 
 
 def _effect(found: Found) -> Effect:
