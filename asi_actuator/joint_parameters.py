@@ -109,7 +109,9 @@ JOINT_PARAMETERS: Final = JointTable((
     _size('friction.coulomb'),
     _same('friction.coulomb_asymmetry'),
     _size('friction.viscous', description='Viscous friction of the motor'),
+    _same('friction.softening'),
     _same('friction.presliding_slip'),
+    _same('friction.presliding_exponent'),
     _size('friction.stiction_push', description='Breakaway force upwards, if it is larger than '
           'the Coulomb friction'),
     _size('friction.stiction_pull', description='Breakaway force downwards, if it is larger than '

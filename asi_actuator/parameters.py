@@ -198,10 +198,17 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
     Parameter('friction.location', 'cylinder', '',
               'cylinder: between oil and force sensor; load: behind the force sensor',
               choices=('cylinder', 'load')),
+    Parameter('friction.softening', 0.0, '',
+              'What falls from stiction to Coulomb friction while the seals slide faster; 0: their '
+              'deflection (LuGre); 1: their stiffness (Maxwell slip with a Stribeck curve)',
+              0.0, 1.0),
     Parameter('friction.presliding_slip', 0.0, '',
               'How gradually sliding sets in; 0: purely elastic below 70 % of breakaway (Dupont '
               'et al. 2002); 1: it slides from the first deflection (Dahl 1968, LuGre)',
               0.0, 1.0),
+    Parameter('friction.presliding_exponent', 1.0, '',
+              "Exponent of Dahl's law: above 1 sliding sets in earlier and is complete later",
+              0.2, 5.0),
     Parameter('friction.stiction_push', 27.0, 'N', 'Breakaway force when the piston extends',
               0.0, 1e4, source='paper, section 2.2'),
     Parameter('friction.stiction_pull', 15.0, 'N', 'Breakaway force when the piston retracts',

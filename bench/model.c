@@ -14,6 +14,8 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
+#define LEAST_STEEPNESS 0.25
+#define NEAR 1e-6
 #define LINEAR_STEP 5e-6
 #define MOST_ROUNDS 60
 
@@ -254,41 +256,88 @@ static inline double damping_force(double velocity, struct curve c, const struct
     return force;
 }
 
+static inline double coulomb_friction(int forward, const struct parameters *p)
+{
+    return p->friction_coulomb * (1.0 + (forward ? 1.0 : -1.0) * p->friction_coulomb_asymmetry);
+}
+
+static inline double stiction(int forward, const struct parameters *p)
+{
+    return forward ? p->friction_stiction_push : p->friction_stiction_pull;
+}
+
 static inline double sliding_friction(double velocity, const struct parameters *p)
 {
-    double coulomb = p->friction_coulomb;
-    if (p->friction_coulomb_asymmetry != 0.0)
-        coulomb *= 1.0 + copysign(1.0, velocity) * p->friction_coulomb_asymmetry;
+    int forward = copysign(1.0, velocity) > 0.0;
+    double coulomb = coulomb_friction(forward, p);
     double relative = velocity / p->friction_stribeck_velocity;
     if (fabs(relative) > FAR)
         return coulomb;
-    double stiction = velocity >= 0.0 ? p->friction_stiction_push : p->friction_stiction_pull;
-    return coulomb + (stiction - coulomb) * exp(-relative * relative);
+    return coulomb + (stiction(forward, p) - coulomb) * exp(-relative * relative);
 }
 
-static inline double sliding_share(double deflection, double velocity, double limit, double slip)
+static inline double held_friction(int forward, const struct parameters *p)
 {
-    if (slip == 1.0)
+    return fmax(stiction(forward, p), coulomb_friction(forward, p));
+}
+
+static inline double breakaway_deflection(double velocity, const struct parameters *p)
+{
+    double force = sliding_friction(velocity, p), softening = p->friction_softening;
+    if (softening != 0.0)
+        force += softening * (held_friction(velocity >= 0.0, p) - force);
+    return force / p->friction_presliding_stiffness;
+}
+
+static inline double softened(double deflection, double velocity, const struct parameters *p,
+                              double *slope)
+{
+    double softening = p->friction_softening;
+    *slope = 0.0;
+    if (softening == 0.0)
         return 1.0;
+    int forward = deflection >= 0.0;
+    double slides = sliding_friction(copysign(velocity, deflection), p);
+    double held = held_friction(forward, p), whole = slides + softening * (held - slides);
+    if (whole <= 0.0)
+        return 1.0;
+    double falls = 2.0 * velocity / (p->friction_stribeck_velocity * p->friction_stribeck_velocity)
+        * (slides - coulomb_friction(forward, p));
+    *slope = -softening * held / (whole * whole) * falls;
+    return slides / whole;
+}
+
+static inline double sliding(double deflection, double velocity, double limit,
+                             const struct parameters *p)
+{
+    double slip = p->friction_presliding_slip, exponent = p->friction_presliding_exponent;
     double elastic = ELASTIC_SHARE * limit, size = fabs(deflection), share = 1.0;
-    if (deflection * velocity <= 0.0 || size <= elastic)
-        share = 0.0;
-    else if (size < limit)
-        share = 0.5 + 0.5 * sin(M_PI * (size - 0.5 * (limit + elastic)) / (limit - elastic));
-    return share + slip * (1.0 - share);
+    if (slip != 1.0) {
+        if (deflection * velocity <= 0.0 || size <= elastic)
+            share = 0.0;
+        else if (size < limit)
+            share = 0.5 + 0.5 * sin(M_PI * (size - 0.5 * (limit + elastic)) / (limit - elastic));
+        share += slip * (1.0 - share);
+    }
+    if (exponent == 1.0)
+        return share;
+    double slides = share * copysign(1.0, velocity) * deflection / limit;
+    if (fabs(slides) < NEAR)
+        return exponent * share;
+    return slides >= 1.0 ? share : share * (1.0 - pow(1.0 - slides, exponent)) / slides;
 }
 
 static inline void deflect(double before, double velocity, const struct parameters *p, double h,
                            struct rub *r)
 {
-    double limit = sliding_friction(velocity, p) / p->friction_presliding_stiffness;
+    double limit = breakaway_deflection(velocity, p);
     r->seal = r->seal_slope = 0.0;
     if (limit <= 0.0)
         return;
     double speed = fabs(velocity);
-    double loss = sliding_share(before, velocity, limit, p->friction_presliding_slip) / limit;
+    double loss = sliding(before, velocity, limit, p) / limit;
     double middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed);
-    loss = sliding_share(middle, velocity, limit, p->friction_presliding_slip) / limit;
+    loss = sliding(middle, velocity, limit, p) / limit;
     double x = h * loss * speed, fall = 1.0 + x + 0.5 * x * x;
     double after = (before + h * velocity * (1.0 + 0.5 * x)) / fall;
     double bound = fmax(limit, fabs(before));
@@ -314,13 +363,14 @@ static inline struct rub friction(double before, double mean_velocity, double ve
         return r;
     double stiffness = p->friction_presliding_stiffness, damping = p->friction_presliding_damping;
     deflect(before, mean_velocity, p, h, &r);
-    double limit = sliding_friction(velocity, p) / stiffness, elastic = 0.0;
+    double limit = breakaway_deflection(velocity, p), elastic = 0.0, share_slope;
+    double share = softened(r.seal, velocity, p, &share_slope);
     if (limit > 0.0)
-        elastic = fmax(0.0, 1.0 - sliding_share(r.seal, velocity, limit, p->friction_presliding_slip)
+        elastic = fmax(0.0, 1.0 - sliding(r.seal, velocity, limit, p)
                                 * copysign(1.0, velocity) * r.seal / limit);
     damping = damping * elastic + viscous;
-    r.force = stiffness * r.seal + damping * velocity;
-    r.force_slope = stiffness * r.seal_slope + damping;
+    r.force = share * stiffness * r.seal + damping * velocity;
+    r.force_slope = stiffness * (share * r.seal_slope + share_slope * r.seal) + damping;
     return r;
 }
 
@@ -452,8 +502,9 @@ static inline void load(struct state *s, double static_before, double opening,
             break;
         double residual = inertia * (velocity - s->velocity) - begin
             - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean;
-        change = -residual / (inertia + 0.25 * h * stiffness
-                              + 0.5 * (fluid.new * slope + rub.force_slope + damper));
+        double steepness = inertia + 0.25 * h * stiffness
+            + 0.5 * (fluid.new * slope + rub.force_slope + damper);
+        change = -residual / fmax(steepness, LEAST_STEEPNESS * inertia);
         if (fabs(change) <= LINEAR_STEP)
             break;
         if (residual > 0.0)

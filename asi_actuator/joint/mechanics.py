@@ -13,7 +13,7 @@ from asi_actuator.joint.drive import pushed
 from asi_actuator.joint.position_forces import position_force
 from asi_actuator.model.backlash import contact, spring_and_damper
 from asi_actuator.model.friction import friction
-from asi_actuator.model.load import MOST_ROUNDS, bracketed, external_force
+from asi_actuator.model.load import LEAST_STEEPNESS, MOST_ROUNDS, bracketed, external_force
 from asi_common.jit import inlined
 
 # A Newton step that is so small, as a share of the velocity or in m/s or rad/s, is the last.
@@ -52,6 +52,7 @@ def mechanics(state, push, apart, p, h):
                     + (damper + 0.5 * h * stiffness) * mean)
         steepness = (mass / h + 0.25 * h * stiffness
                      + 0.5 * (rub.force_slope + damper + force_slope))
+        steepness = max(steepness, LEAST_STEEPNESS * mass / h)
         change = -residual / steepness
         if abs(change) <= LAST_STEP * (1.0 + abs(velocity)):
             break

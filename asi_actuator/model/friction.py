@@ -5,9 +5,10 @@ An elasto-plastic bristle (Dupont, Hayward, Armstrong, Altpeter, "Single state e
 friction models", IEEE Trans. Automatic Control 47, 2002): below breakaway the seals only deform,
 so that a locked piston neither creeps nor sticks and slips; beyond it they slide, with a friction
 that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends on the direction.
-Null by default: viscous friction, another Coulomb friction each way, sliding that sets in
-gradually (Dahl, "A solid friction model", 1968; with damping: LuGre, Canudas de Wit, Olsson,
-Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995), and a place behind the force sensor.
+Null by default: viscous friction, another Coulomb friction each way, stiction that falls with the
+stiffness of the seals instead of their deflection, sliding that sets in gradually (Dahl, "A solid friction model", 1968, with its exponent; with damping: LuGre, Canudas de
+Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995), and a place behind the
+force sensor.
 """
 
 import math
@@ -21,6 +22,8 @@ CYLINDER, BEHIND_SENSOR = 0, 1
 ELASTIC_SHARE: Final = 0.7
 # Beyond this many Stribeck velocities exp(-x * x) changes no bit of the friction.
 FAR: Final = 7.0
+# Share of the breakaway deflection below which Dahl's law is linear, for any exponent.
+NEAR: Final = 1e-6
 # Least breakaway deflection (m) of seals with friction: the inverse of a smaller one overflows.
 LEAST_LIMIT: Final = 1e-100
 
@@ -35,16 +38,62 @@ class Friction(NamedTuple):
 
 
 @jit
+def coulomb_friction(forward, p):
+    """Return the Coulomb friction (N) in a direction."""
+    return p.friction_coulomb * (1.0 + (1.0 if forward else -1.0) * p.friction_coulomb_asymmetry)
+
+
+@jit
+def stiction(forward, p):
+    """Return the breakaway force (N) in a direction."""
+    return p.friction_stiction_push if forward else p.friction_stiction_pull
+
+
+@jit
 def sliding_friction(velocity, p):
     """Return the steady friction (N, not negative) when sliding at `velocity` (m/s)."""
-    coulomb = p.friction_coulomb
-    if p.friction_coulomb_asymmetry != 0.0:
-        coulomb *= 1.0 + math.copysign(1.0, velocity) * p.friction_coulomb_asymmetry
+    forward = math.copysign(1.0, velocity) > 0.0
+    coulomb = coulomb_friction(forward, p)
     relative = velocity / p.friction_stribeck_velocity
     if abs(relative) > FAR:
         return coulomb
-    stiction = p.friction_stiction_push if velocity >= 0.0 else p.friction_stiction_pull
-    return coulomb + (stiction - coulomb) * math.exp(-relative * relative)
+    return coulomb + (stiction(forward, p) - coulomb) * math.exp(-relative * relative)
+
+
+@jit
+def held_friction(forward, p):
+    """Return the larger one (N) of stiction and Coulomb friction in a direction."""
+    return max(stiction(forward, p), coulomb_friction(forward, p))
+
+
+@jit
+def breakaway_deflection(velocity, p):
+    """Return the deflection (m) of the seals when sliding at a steady `velocity` (m/s)."""
+    force, softening = sliding_friction(velocity, p), p.friction_softening
+    if softening != 0.0:
+        force += softening * (held_friction(velocity >= 0.0, p) - force)
+    return force / p.friction_presliding_stiffness
+
+
+@jit
+def softened(deflection, velocity, p):
+    """
+    Return the stiffness of the seals as a share of that at rest, and its slope (s/m).
+
+    deflection: m, for its sign; velocity: m/s, with which the slope is the derivative.
+    """
+    softening = p.friction_softening
+    if softening == 0.0:
+        return 1.0, 0.0
+    forward = deflection >= 0.0
+    sliding = sliding_friction(math.copysign(velocity, deflection), p)
+    held = held_friction(forward, p)
+    whole = sliding + softening * (held - sliding)
+    if whole <= 0.0:
+        return 1.0, 0.0
+    falls = (2.0 * velocity / p.friction_stribeck_velocity ** 2
+             * (sliding - coulomb_friction(forward, p)))
+    return sliding / whole, -softening * held / whole ** 2 * falls
 
 
 @jit
@@ -64,12 +113,24 @@ def sliding_share(deflection, velocity, limit):
 
 @jit
 def sliding(deflection, velocity, limit, p):
-    """Return how much of the motion slides, 0 to 1: elasto-plastic, or more, up to Dahl's 1."""
-    slip = p.friction_presliding_slip
-    if slip == 1.0:
-        return 1.0
-    share = sliding_share(deflection, velocity, limit)
-    return share + slip * (1.0 - share)
+    """
+    Return how much of the motion slides, times limit / deflection.
+
+    From elasto-plastic, with 0 to 1, to Dahl's law, with 1 for an exponent of 1.
+    """
+    share = p.friction_presliding_slip
+    if share != 1.0:
+        elastoplastic = sliding_share(deflection, velocity, limit)
+        share = elastoplastic + share * (1.0 - elastoplastic)
+    exponent = p.friction_presliding_exponent
+    if exponent == 1.0:
+        return share
+    slides = share * math.copysign(1.0, velocity) * deflection / limit
+    if abs(slides) < NEAR:
+        return exponent * share
+    if slides >= 1.0:
+        return share
+    return share * (1.0 - (1.0 - slides) ** exponent) / slides
 
 
 @jit
@@ -81,7 +142,7 @@ def deflect(before, velocity, p, h):
     negative, so that Newton's rule always steps the right way.
     Second order, and never beyond the breakaway deflection however long the sub-step.
     """
-    limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
+    limit = breakaway_deflection(velocity, p)
     if limit < LEAST_LIMIT:
         return 0.0, 0.0
     speed = abs(velocity)
@@ -115,13 +176,14 @@ def friction(before, mean_velocity, velocity, p, h):
     stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
     after, slope = deflect(before, mean_velocity, p, h)
     slope *= 0.5  # the velocity at the end counts half in the mean
+    share, share_slope = softened(after, velocity, p)
     # Only motion that deforms the seals is damped, never their relaxation when friction falls
     # from stiction to Coulomb: else it would drive the piston.
     elastic = 0.0
-    limit = sliding_friction(velocity, p) / stiffness
+    limit = breakaway_deflection(velocity, p)
     if limit >= LEAST_LIMIT:
         along = math.copysign(1.0, velocity) * after
         elastic = max(0.0, 1.0 - sliding(after, velocity, limit, p) * along / limit)
     damping = damping * elastic + viscous
-    return Friction(after, slope, stiffness * after + damping * velocity,
-                    stiffness * slope + damping)
+    return Friction(after, slope, share * stiffness * after + damping * velocity,
+                    stiffness * (share * slope + share_slope * after) + damping)

@@ -19,6 +19,8 @@ LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 # A Newton step (m/s) so small that the damping is linear over it: for the default damping the
 # error is below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
 LINEAR_STEP: Final = 5e-6
+# Of the residual with the velocity, as a share of that of the mass alone.
+LEAST_STEEPNESS: Final = 0.25
 # Enough for the bisection that a Newton step falls back to.
 MOST_ROUNDS: Final = 60
 
@@ -143,6 +145,8 @@ def load(state, static_before, opening, steady, p):
                     - 0.5 * (hydraulic - seals.force) + (damper + 0.5 * h * stiffness) * mean)
         steepness = (mass / h + 0.25 * h * stiffness
                      + 0.5 * (fluid.new * damping_slope + seals.force_slope + damper))
+        # Friction that falls with the velocity may make it negative.
+        steepness = max(steepness, LEAST_STEEPNESS * mass / h)
         change = -residual / steepness
         if abs(change) <= LINEAR_STEP:
             break

@@ -359,8 +359,11 @@ def test_friction_dissipates_over_a_closed_cycle(amplitude: float, frequency: fl
         assert last == pytest.approx(steady, rel=0.05)
 
 
-def test_friction_converges_with_the_second_order_while_the_seals_begin_to_slide() -> None:
-    p = as_record()
+@pytest.mark.parametrize(('slip', 'exponent'), [(0.0, 1.0), (1.0, 1.0), (1.0, 0.6), (1.0, 2.0),
+                                                (0.5, 1.4)])
+def test_friction_converges_with_the_second_order_while_the_seals_begin_to_slide(
+        slip: float, exponent: float) -> None:
+    p = as_record({'friction.presliding_slip': slip, 'friction.presliding_exponent': exponent})
 
     def seal(substeps: int) -> float:
         time = np.linspace(0.0, 0.02, substeps + 1)

@@ -253,6 +253,27 @@ def test_dahl_bristle_follows_its_exponential() -> None:
     np.testing.assert_allclose(ours, -level * (1.0 - np.exp(-stiffness * way / level)), atol=0.02)
 
 
+@pytest.mark.parametrize('exponent', [0.5, 1.4, 2.0])
+def test_dahls_law_with_its_exponent_through_reversals(exponent: float) -> None:
+    # dF/dx = stiffness (1 - F / level sign v) ** exponent (Dahl 1968), v a sine.
+    level, stiffness, peak, frequency = 20.0, 2e5, 0.02, 7.0
+    ours = force({'friction.model': 'full', 'friction.presliding_slip': 1.0,
+                  'friction.presliding_exponent': exponent,
+                  'friction.coulomb': level, 'friction.stiction_push': level,
+                  'friction.stiction_pull': level, 'friction.presliding_stiffness': stiffness,
+                  'friction.presliding_damping': 0.0, 'load.velocity': peak,
+                  'load.frequency': frequency}, np.zeros(500))
+
+    def rate(t: float, f: Any) -> Any:
+        v = peak * math.sin(2.0 * math.pi * frequency * t)
+        return stiffness * v * np.maximum(1.0 - f / level * np.sign(v), 0.0) ** exponent
+
+    time = PERIOD * np.arange(1, 501)
+    friction = solve_ivp(rate, (0.0, time[-1]), [0.0], 'LSODA', time, rtol=1e-9, atol=1e-9,
+                         max_step=1e-4).y[0]
+    np.testing.assert_allclose(ours, -friction, atol=0.05)
+
+
 def test_lugre_damps_the_bristle_through_reversals() -> None:
     # F = s0 z + s1 dz/dt, dz/dt = v - s0 |v| z / level (Canudas de Wit et al. 1995), v a sine.
     level, stiffness, damping, peak, frequency = 20.0, 2e5, 400.0, 0.01, 20.0

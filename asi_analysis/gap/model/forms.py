@@ -41,12 +41,12 @@ _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
 
 def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
     """Return forms of friction in a plant that has none: on either side of the force sensor."""
-    fixed = {'friction_model': FULL} | (
+    fixed = {'friction_model': FULL, 'friction_presliding_slip': 1.0} | (
         {'friction_stribeck_velocity': 1e-6} if sharp else {})   # its least: no stiction
     return tuple(_form(
         MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
         _scaled('friction_presliding_stiffness', 0.05, 50.0, (1.0, 10.0)),
-        Free('friction_presliding_slip', 0.0, 1.0, (0.5,)),
+        Free('friction_presliding_exponent', 0.3, 3.0, (1.0,)),
         _scaled('friction_presliding_damping', 0.0, 4.0, (1.0,)), *more,
         fixed=fixed | {'friction_location': place}, where={'friction_model': OFF})
         for place in (CYLINDER, BEHIND_SENSOR))
@@ -232,6 +232,7 @@ SHAPES = {
     'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.0,))),
     'force': (Free('hydraulic_damping_tail', -1.0, 1.0, (0.0,)),
+              Free('friction_softening', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),
