@@ -110,6 +110,7 @@ JOINT_PARAMETERS: Final = JointTable((
     _same('friction.coulomb_asymmetry'),
     _size('friction.viscous', description='Viscous friction of the motor'),
     _same('friction.softening'),
+    _same('friction.element_ratio'),
     _same('friction.presliding_slip'),
     _same('friction.presliding_exponent'),
     _size('friction.stiction_push', description='Breakaway force upwards, if it is larger than '

@@ -199,9 +199,12 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               'cylinder: between oil and force sensor; load: behind the force sensor',
               choices=('cylinder', 'load')),
     Parameter('friction.softening', 0.0, '',
-              'What falls from stiction to Coulomb friction while the seals slide faster; 0: their '
-              'deflection (LuGre); 1: their stiffness (Maxwell slip with a Stribeck curve)',
+              'How stiction falls to Coulomb friction while the seals slide faster; 0: they are '
+              'deflected less (LuGre); 1: they soften (a Stribeck curve times Maxwell slip)',
               0.0, 1.0),
+    Parameter('friction.element_ratio', 1.0, '',
+              'The seals are four elements in parallel, and each slides after so many times the '
+              'way of the one before (Maxwell slip); 1: all at once', 1.0, 10.0),
     Parameter('friction.presliding_slip', 0.0, '',
               'How gradually sliding sets in; 0: purely elastic below 70 % of breakaway (Dupont '
               'et al. 2002); 1: it slides from the first deflection (Dahl 1968, LuGre)',

@@ -14,6 +14,10 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 
 #define ELASTIC_SHARE 0.7
 #define FAR 7.0
+#define ELEMENTS 4
+#define BEFORE 0
+#define AFTER 1
+#define SLOPE 2
 #define LEAST_STEEPNESS 0.25
 #define NEAR 1e-6
 #define LINEAR_STEP 5e-6
@@ -30,7 +34,7 @@ struct constants {
     struct delay valve_delay, sensor_delay;
     double h;
 };
-struct rub { double seal, seal_slope, force, force_slope; };
+struct rub { double force, slope; };
 
 static inline double clamp(double x, double low, double high)
 {
@@ -327,13 +331,12 @@ static inline double sliding(double deflection, double velocity, double limit,
     return slides >= 1.0 ? share : share * (1.0 - pow(1.0 - slides, exponent)) / slides;
 }
 
-static inline void deflect(double before, double velocity, const struct parameters *p, double h,
-                           struct rub *r)
+static inline double deflect(double before, double velocity, double limit,
+                             const struct parameters *p, double h, double *slope)
 {
-    double limit = breakaway_deflection(velocity, p);
-    r->seal = r->seal_slope = 0.0;
+    *slope = 0.0;
     if (limit <= 0.0)
-        return;
+        return 0.0;
     double speed = fabs(velocity);
     double loss = sliding(before, velocity, limit, p) / limit;
     double middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed);
@@ -341,37 +344,62 @@ static inline void deflect(double before, double velocity, const struct paramete
     double x = h * loss * speed, fall = 1.0 + x + 0.5 * x * x;
     double after = (before + h * velocity * (1.0 + 0.5 * x)) / fall;
     double bound = fmax(limit, fabs(before));
-    if (fabs(after) > bound) {
-        r->seal = copysign(bound, after);
-    } else {
-        r->seal = after;
-        double along = copysign(1.0, velocity) * after;
-        r->seal_slope = 0.5 * h * (1.0 + x) / fall * fmax(0.0, 1.0 - loss * along);
-    }
+    if (fabs(after) > bound)
+        return copysign(bound, after);
+    double along = copysign(1.0, velocity) * after;
+    *slope = 0.5 * h * (1.0 + x) / fall * fmax(0.0, 1.0 - loss * along);
+    return after;
 }
 
-static inline struct rub friction(double before, double mean_velocity, double velocity,
-                                  const struct parameters *p, double h)
+static inline int elements(const struct parameters *p, double *reach)
 {
-    struct rub r = {0};
+    double ratio = p->friction_element_ratio, shares = 0.0;
+    *reach = 1.0;
+    if (ratio == 1.0)
+        return 1;
+    for (int i = 0; i < ELEMENTS; i++)
+        shares = shares / ratio + 1.0;
+    *reach = shares / ELEMENTS;
+    return ELEMENTS;
+}
+
+static inline struct rub friction(double (*seals)[ELEMENTS], double mean_velocity,
+                                  double velocity, const struct parameters *p, double h)
+{
     double viscous = p->friction_viscous;
     if (p->friction_model == LINEAR)
         viscous += p->friction_linear_gain;
-    r.force_slope = viscous;
-    r.force = viscous * velocity;
+    struct rub r = {viscous * velocity, viscous};
     if (p->friction_model != FULL)
         return r;
-    double stiffness = p->friction_presliding_stiffness, damping = p->friction_presliding_damping;
-    deflect(before, mean_velocity, p, h, &r);
-    double limit = breakaway_deflection(velocity, p), elastic = 0.0, share_slope;
-    double share = softened(r.seal, velocity, p, &share_slope);
-    if (limit > 0.0)
-        elastic = fmax(0.0, 1.0 - sliding(r.seal, velocity, limit, p)
-                                * copysign(1.0, velocity) * r.seal / limit);
-    damping = damping * elastic + viscous;
-    r.force = share * stiffness * r.seal + damping * velocity;
-    r.force_slope = stiffness * (share * r.seal_slope + share_slope * r.seal) + damping;
+    double reach, held = breakaway_deflection(mean_velocity, p);
+    double limit = breakaway_deflection(velocity, p);
+    int count = elements(p, &reach);
+    for (int i = 0; i < count; i++) {
+        double deflects, share_slope, elastic = 0.0;
+        double after = deflect(seals[BEFORE][i], mean_velocity, reach * held, p, h, &deflects);
+        seals[AFTER][i] = after;
+        seals[SLOPE][i] = deflects;
+        double share = softened(after, velocity, p, &share_slope);
+        if (limit > 0.0)
+            elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p)
+                                    * copysign(1.0, velocity) * after / (reach * limit));
+        double stiffness = p->friction_presliding_stiffness / (count * reach);
+        double damping = p->friction_presliding_damping * elastic / (count * reach);
+        r.force += share * stiffness * after + damping * velocity;
+        r.slope += stiffness * (share * deflects + share_slope * after) + damping;
+        reach *= p->friction_element_ratio;
+    }
     return r;
+}
+
+static inline void settle(double (*seals)[ELEMENTS], double change, const struct parameters *p)
+{
+    double reach;
+    int count = elements(p, &reach);
+    for (int i = 0; i < count; i++)
+        seals[BEFORE][i] = p->friction_model == FULL
+            ? seals[AFTER][i] + seals[SLOPE][i] * change : 0.0;
 }
 
 static double prescribed_velocity(double time, const struct parameters *p)
@@ -497,13 +525,13 @@ static inline void load(struct state *s, double static_before, double opening,
         damping = damping_force(velocity, curve, p, &slope);
         hydraulic = known - fluid.new * damping;
         double mean = 0.5 * (s->velocity + velocity);
-        rub = friction(s->seal, mean, velocity, p, h);
+        rub = friction(s->seals, mean, velocity, p, h);
         if (!moves)
             break;
         double residual = inertia * (velocity - s->velocity) - begin
             - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean;
         double steepness = inertia + 0.25 * h * stiffness
-            + 0.5 * (fluid.new * slope + rub.force_slope + damper);
+            + 0.5 * (fluid.new * slope + rub.slope + damper);
         change = -residual / fmax(steepness, LEAST_STEEPNESS * inertia);
         if (fabs(change) <= LINEAR_STEP)
             break;
@@ -526,8 +554,8 @@ static inline void load(struct state *s, double static_before, double opening,
     s->velocity = velocity;
     s->hydraulic_force = hydraulic - fluid.new * slope * change;
     s->damping_force = damping + slope * change;
-    s->seal = rub.seal + rub.seal_slope * change;
-    s->friction_force = rub.force + rub.force_slope * change;
+    settle(s->seals, change, p);
+    s->friction_force = rub.force + rub.slope * change;
 }
 
 static inline double felt_force(const struct state *s, const struct parameters *p)
@@ -563,7 +591,7 @@ static void jump(struct state *s, double command, const struct parameters *p,
         * fmax(1.0 - p->valve_characteristic_supply_sag * s->supply_load, 0.0);
     if (p->load_type == PRESCRIBED)
         s->velocity = prescribed_velocity(s->time, p);
-    s->friction_force = friction(s->seal, s->velocity, s->velocity, p, 0.0).force;
+    s->friction_force = friction(s->seals, s->velocity, s->velocity, p, 0.0).force;
     double opening = valve_opening(s->valve_position, p);
     s->damping_force = damping_force(s->velocity, damping_curve(opening, p), p, &slope);
     if (p->fluid_dynamics_model != FULL && p->fluid_dynamics_air_time == 0.0) {

@@ -48,7 +48,8 @@ WITHHELD: Final[dict[str, Value]] = {
     'fluid_dynamics.leakage': 0.1, 'fluid_dynamics.leakage_growth': 1e-4,
     'fluid_dynamics.air_time': 0.001, 'friction.coulomb_asymmetry': 0.3, 'friction.viscous': 40.0,
     'friction.location': 'load', 'friction.presliding_slip': 0.6,
-    'friction.softening': 0.5, 'friction.presliding_exponent': 1.4,
+    'friction.softening': 0.5, 'friction.element_ratio': 1.8,
+    'friction.presliding_exponent': 1.4,
     'load.external_force': 30.0, 'load.external_force_start': 0.05,
     'load.external_force_frequency': 7.0, 'coupling.stiffness': 2e6, 'coupling.damping': 100.0,
     'backlash.gap': 2e-5, 'backlash.centre': 5e-6, 'force_sensor.lag_time': 0.0005,
@@ -97,7 +98,7 @@ def header() -> str:
     for name, dtype in (('parameters', ACTUATOR_DTYPE), ('state', STATE_DTYPE)):
         fields = ''.join(
             f'    {"long" if field.base.kind == "i" else "double"} {field_name}'
-            f'{f"[{field.shape[0]}]" if field.shape else ""};\n'
+            f'{"".join(f"[{size}]" for size in field.shape)};\n'
             for field_name, field in ((n, dtype[n]) for n in dtype.names or ()))
         text += f'struct {name} {{\n{fields}}};\n'
     return text

@@ -21,6 +21,7 @@ from asi_actuator.joint_parameters import check_delay
 from asi_actuator.model.actuator import check_period
 from asi_actuator.model.backlash import two_masses
 from asi_actuator.model.command_path import CommandDelay, arrived, command_delay, sent
+from asi_actuator.model.friction import SEALS_SHAPE
 from asi_actuator.parameters import RING
 from asi_common.jit import jit
 
@@ -35,7 +36,7 @@ STATE_DTYPE = np.dtype([
     ('position', np.float64),           # m, of the motor
     ('velocity', np.float64),           # m/s
     ('velocity_change', np.float64),    # m/s, over the last sub-step
-    ('seal', np.float64),               # m, deflection of what rubs
+    ('seals', np.float64, SEALS_SHAPE),  # m, deflections of what rubs
     ('friction_force', np.float64),     # N
     ('load_position', np.float64),      # m, of a load that is not rigidly coupled
     ('load_velocity', np.float64),      # m/s

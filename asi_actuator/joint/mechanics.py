@@ -12,7 +12,7 @@ from typing import Final
 from asi_actuator.joint.drive import pushed
 from asi_actuator.joint.position_forces import position_force
 from asi_actuator.model.backlash import contact, spring_and_damper
-from asi_actuator.model.friction import friction
+from asi_actuator.model.friction import friction, settle
 from asi_actuator.model.load import LEAST_STEEPNESS, MOST_ROUNDS, bracketed, external_force
 from asi_common.jit import inlined
 
@@ -46,12 +46,12 @@ def mechanics(state, push, apart, p, h):
     for _ in range(MOST_ROUNDS):
         velocity += change
         mean = 0.5 * (state.velocity + velocity)
-        rub = friction(state.seal, mean, velocity, p, h)
+        rub = friction(state.seals, mean, velocity, p, h)
         force, force_slope = pushed(push, mean)
         residual = (mass / h * (velocity - state.velocity) - begin - force + 0.5 * rub.force
                     + (damper + 0.5 * h * stiffness) * mean)
         steepness = (mass / h + 0.25 * h * stiffness
-                     + 0.5 * (rub.force_slope + damper + force_slope))
+                     + 0.5 * (rub.slope + damper + force_slope))
         steepness = max(steepness, LEAST_STEEPNESS * mass / h)
         change = -residual / steepness
         if abs(change) <= LAST_STEP * (1.0 + abs(velocity)):
@@ -68,5 +68,5 @@ def mechanics(state, push, apart, p, h):
     state.position += h * mean
     state.velocity_change = velocity - state.velocity
     state.velocity = velocity
-    state.seal = rub.seal
+    settle(state.seals, 0.0, p)
     state.friction_force = rub.force

@@ -27,7 +27,7 @@ from asi_actuator.model.force_sensor import (
     keep_reading,
     sensor_step,
 )
-from asi_actuator.model.friction import friction
+from asi_actuator.model.friction import SEALS_SHAPE, friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import FirstOrder
 from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
@@ -79,7 +79,7 @@ STATE_DTYPE = np.dtype([
     ('position', np.float64),           # m, of the piston
     ('velocity', np.float64),           # m/s, of the piston
     ('velocity_change', np.float64),    # m/s, over the last sub-step
-    ('seal', np.float64),               # m, deflection of the seals
+    ('seals', np.float64, SEALS_SHAPE),  # m, deflections of the seals
     ('friction_force', np.float64),     # N
     ('felt_force', np.float64),         # N, where the force sensor is
     ('sensor', np.float64),             # N
@@ -180,7 +180,7 @@ def motion_jump(state, p):
         state.static_force = sagged(state.static_force, state.supply_load, p)
     if p.load_type == PRESCRIBED:
         state.velocity = prescribed_velocity(state.time, p)
-    state.friction_force = friction(state.seal, state.velocity, state.velocity, p, 0.0).force
+    state.friction_force = friction(state.seals, state.velocity, state.velocity, p, 0.0).force
     state.damping_force = hydraulic_damping(
         state.velocity, valve_opening(state.valve_position, p), p)
     if p.fluid_dynamics_model != FULL and p.fluid_dynamics_air_time == 0.0:

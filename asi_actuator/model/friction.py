@@ -5,14 +5,18 @@ An elasto-plastic bristle (Dupont, Hayward, Armstrong, Altpeter, "Single state e
 friction models", IEEE Trans. Automatic Control 47, 2002): below breakaway the seals only deform,
 so that a locked piston neither creeps nor sticks and slips; beyond it they slide, with a friction
 that falls from stiction to Coulomb over the Stribeck velocity. Stiction depends on the direction.
-Null by default: viscous friction, another Coulomb friction each way, stiction that falls with the
-stiffness of the seals instead of their deflection, sliding that sets in gradually (Dahl, "A solid friction model", 1968, with its exponent; with damping: LuGre, Canudas de
-Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995), and a place behind the
-force sensor.
+Null by default: viscous friction, another Coulomb friction each way, and a place behind the force
+sensor. Books formulate these laws in several ways, so, null by default as well: sliding that sets
+in gradually, with an exponent (Dahl, "A solid friction model", 1968; with damping: LuGre, Canudas
+de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995); elements in parallel
+that slide one after the other (Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic
+Control 50, 2005); stiction that falls with the stiffness of the seals, not with their deflection.
 """
 
 import math
 from typing import Final, NamedTuple
+
+import numpy as np
 
 from asi_common.jit import FULL, LINEAR, inlined, jit
 
@@ -28,13 +32,19 @@ NEAR: Final = 1e-6
 LEAST_LIMIT: Final = 1e-100
 
 
-class Friction(NamedTuple):
-    """Seals and friction at the end of a sub-step; slopes with the velocity there."""
+# The seals are so many elements in parallel if they do not slide all at once.
+ELEMENTS: Final = 4
+# Rows of their deflections (m): at the start and the end of a sub-step; and the slope (s) of the
+# latter with the velocity at the end.
+BEFORE, AFTER, SLOPE = 0, 1, 2
+SEALS_SHAPE: Final = (3, ELEMENTS)
 
-    seal: float         # m, deflection
-    seal_slope: float   # s
-    force: float        # N
-    force_slope: float  # N s/m
+
+class Friction(NamedTuple):
+    """Friction at the end of a sub-step, and its slope with the velocity there."""
+
+    force: float   # N
+    slope: float   # N s/m
 
 
 @jit
@@ -134,15 +144,14 @@ def sliding(deflection, velocity, limit, p):
 
 
 @jit
-def deflect(before, velocity, p, h):
+def deflect(before, velocity, limit, p, h):
     """
-    Return the seals' deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
+    Return a seal's deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
 
-    The slope is the derivative with the velocity, for the implicit solution of the load; not
-    negative, so that Newton's rule always steps the right way.
-    Second order, and never beyond the breakaway deflection however long the sub-step.
+    limit: deflection (m) at which all of the motion slides. The slope is the derivative with the
+    velocity, for the implicit solution of the load; not negative, so that Newton's rule always
+    steps the right way. Second order, and never beyond the limit however long the sub-step.
     """
-    limit = breakaway_deflection(velocity, p)
     if limit < LEAST_LIMIT:
         return 0.0, 0.0
     speed = abs(velocity)
@@ -161,29 +170,77 @@ def deflect(before, velocity, p, h):
     return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * along)
 
 
-@inlined
-def friction(before, mean_velocity, velocity, p, h):
+@jit
+def elements(p):
     """
-    Return seals and friction after a sub-step of `h` s that ends at `velocity` (m/s).
+    Return the number of elements of the seals, and the reach of the first one.
 
-    before: deflection of the seals, m; mean_velocity: mean of the sub-step, m/s.
+    The reach is the share of the breakaway deflection at which an element slides. Each carries the
+    same force then, so its share of the stiffness is 1 / (number * reach).
+    """
+    ratio = p.friction_element_ratio
+    if ratio == 1.0:
+        return 1, 1.0
+    shares = 0.0
+    for _ in range(ELEMENTS):
+        shares = shares / ratio + 1.0
+    return ELEMENTS, shares / ELEMENTS
+
+
+@inlined
+def friction(seals, mean_velocity, velocity, p, h):
+    """
+    Return the friction after a sub-step of `h` s that ends at `velocity` (m/s).
+
+    seals: SEALS_SHAPE; the deflections at the end are filled in, and kept by `settle`;
+    mean_velocity: mean of the sub-step, m/s.
     """
     viscous = p.friction_viscous
     if p.friction_model == LINEAR:
         viscous += p.friction_linear_gain
+    force, slope = viscous * velocity, viscous
     if p.friction_model != FULL:
-        return Friction(0.0, 0.0, viscous * velocity, viscous)
-    stiffness, damping = p.friction_presliding_stiffness, p.friction_presliding_damping
-    after, slope = deflect(before, mean_velocity, p, h)
-    slope *= 0.5  # the velocity at the end counts half in the mean
-    share, share_slope = softened(after, velocity, p)
-    # Only motion that deforms the seals is damped, never their relaxation when friction falls
-    # from stiction to Coulomb: else it would drive the piston.
-    elastic = 0.0
+        return Friction(force, slope)
+    count, reach = elements(p)
+    held = breakaway_deflection(mean_velocity, p)
     limit = breakaway_deflection(velocity, p)
-    if limit >= LEAST_LIMIT:
-        along = math.copysign(1.0, velocity) * after
-        elastic = max(0.0, 1.0 - sliding(after, velocity, limit, p) * along / limit)
-    damping = damping * elastic + viscous
-    return Friction(after, slope, share * stiffness * after + damping * velocity,
-                    stiffness * (share * slope + share_slope * after) + damping)
+    for i in range(count):
+        after, deflects = deflect(seals[BEFORE, i], mean_velocity, reach * held, p, h)
+        deflects *= 0.5  # the velocity at the end counts half in the mean
+        seals[AFTER, i], seals[SLOPE, i] = after, deflects
+        share, share_slope = softened(after, velocity, p)
+        # Only motion that deforms the seals is damped, never their relaxation when friction falls
+        # from stiction to Coulomb: else it would drive the piston.
+        elastic = 0.0
+        if limit >= LEAST_LIMIT:
+            along = math.copysign(1.0, velocity) * after
+            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along
+                          / (reach * limit))
+        stiffness = p.friction_presliding_stiffness / (count * reach)
+        damping = p.friction_presliding_damping * elastic / (count * reach)
+        force += share * stiffness * after + damping * velocity
+        slope += stiffness * (share * deflects + share_slope * after) + damping
+        reach *= p.friction_element_ratio
+    return Friction(force, slope)
+
+
+@inlined
+def settle(seals, change, p):
+    """Let the next sub-step begin where this one ended, at a velocity larger by `change` (m/s)."""
+    if p.friction_model != FULL:
+        seals[BEFORE] = 0.0
+        return
+    for i in range(elements(p)[0]):
+        seals[BEFORE, i] = seals[AFTER, i] + seals[SLOPE, i] * change
+
+
+@jit
+def deflected_seals(share, p):
+    """Return seals (SEALS_SHAPE), each at a share (-1 to 1) of its largest deflection."""
+    seals = np.zeros(SEALS_SHAPE)
+    held = share * max(held_friction(True, p), held_friction(False, p))
+    count, reach = elements(p)
+    for i in range(count):
+        seals[BEFORE, i] = reach * held / p.friction_presliding_stiffness
+        reach *= p.friction_element_ratio
+    return seals

@@ -10,7 +10,7 @@ from typing import Final
 
 from asi_actuator.model.backlash import contact, contact_force, spring_and_damper
 from asi_actuator.model.fluid_dynamics import leaking
-from asi_actuator.model.friction import BEHIND_SENSOR, friction
+from asi_actuator.model.friction import BEHIND_SENSOR, friction, settle
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_common.jit import inlined, jit
 
@@ -138,13 +138,13 @@ def load(state, static_before, opening, steady, p):
         damping, damping_slope = damping_force(velocity, curve, p)
         hydraulic = known - fluid.new * damping
         mean = 0.5 * (state.velocity + velocity)
-        seals = friction(state.seal, mean, velocity, p, h)
+        rub = friction(state.seals, mean, velocity, p, h)
         if not moves:
             break
         residual = (mass / h * (velocity - state.velocity) - begin
-                    - 0.5 * (hydraulic - seals.force) + (damper + 0.5 * h * stiffness) * mean)
+                    - 0.5 * (hydraulic - rub.force) + (damper + 0.5 * h * stiffness) * mean)
         steepness = (mass / h + 0.25 * h * stiffness
-                     + 0.5 * (fluid.new * damping_slope + seals.force_slope + damper))
+                     + 0.5 * (fluid.new * damping_slope + rub.slope + damper))
         # Friction that falls with the velocity may make it negative.
         steepness = max(steepness, LEAST_STEEPNESS * mass / h)
         change = -residual / steepness
@@ -162,5 +162,5 @@ def load(state, static_before, opening, steady, p):
     state.velocity = velocity
     state.hydraulic_force = hydraulic - fluid.new * damping_slope * change
     state.damping_force = damping + damping_slope * change
-    state.seal = seals.seal + seals.seal_slope * change
-    state.friction_force = seals.force + seals.force_slope * change
+    settle(state.seals, change, p)
+    state.friction_force = rub.force + rub.slope * change

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from asi_actuator.model.actuator import rest
-from asi_actuator.model.friction import friction
+from asi_actuator.model.friction import SEALS_SHAPE, friction, settle
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.valve_characteristic import valve_characteristic
 from asi_actuator.model.valve_hysteresis import circuit, magnet_step
@@ -97,14 +97,15 @@ def damping(amplitude, opening, p):
 def seal_friction(amplitude, frequency, p):
     """Return N of the friction (N s/m) for a velocity A sin (m/s) of a frequency (Hz)."""
     step = 1.0 / (frequency * SAMPLES)
-    seal, before, total = 0.0, 0.0, 0.0 + 0.0j
+    seals, before, total = np.zeros(SEALS_SHAPE), 0.0, 0.0 + 0.0j
     for k in range((SETTLING + 1) * SAMPLES):
         angle = 2.0 * math.pi * k / SAMPLES
         velocity = amplitude * math.sin(angle)
-        force_and_seal = friction(seal, 0.5 * (before + velocity), velocity, p, step)
-        seal, before = force_and_seal.seal, velocity
+        force = friction(seals, 0.5 * (before + velocity), velocity, p, step).force
+        settle(seals, 0.0, p)
+        before = velocity
         if k >= SETTLING * SAMPLES:
-            total += force_and_seal.force * complex(math.sin(angle), math.cos(angle))
+            total += force * complex(math.sin(angle), math.cos(angle))
     return total * 2.0 / (SAMPLES * amplitude)
 
 

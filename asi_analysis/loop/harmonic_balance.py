@@ -15,7 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_actuator.model.actuator import rest
-from asi_actuator.model.friction import friction
+from asi_actuator.model.friction import (
+    BEFORE,
+    ELEMENTS,
+    deflected_seals,
+    friction,
+    settle,
+)
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.load import PRESCRIBED, load_spring
 from asi_actuator.model.valve_characteristic import (
@@ -147,24 +153,32 @@ def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, A
 
 
 @jit
-def _friction(velocity, seal, period, p, out):
-    """Fill in the friction over a period, for a periodic deflection of the seals."""
+def _friction(velocity, share, period, p, out):
+    """
+    Fill in the friction over a period, for a periodic deflection of the seals.
+
+    share: of the largest deflection at the begin, -1 to 1.
+    """
     step = period / velocity.size
-    before = change_before = 0.0
+    seals = deflected_seals(share, p)
+    begin, change = np.zeros(ELEMENTS), np.zeros(ELEMENTS)
+    begin_before, change_before = np.zeros(ELEMENTS), np.zeros(ELEMENTS)
     for turn in range(SEALS_SETTLING):
-        begin = seal
+        begin[:] = seals[BEFORE]
         for k in range(velocity.size):
             mean = 0.5 * (velocity[k - 1] + velocity[k])
-            after = friction(seal, mean, velocity[k], p, step)
-            seal = after.seal
-            out[k] = after.force
-        change = seal - begin
-        if abs(change) * p.friction_presliding_stiffness < SETTLED_N:
+            out[k] = friction(seals, mean, velocity[k], p, step).force
+            settle(seals, 0.0, p)
+        change[:] = seals[BEFORE] - begin
+        if np.abs(change).max() * p.friction_presliding_stiffness < SETTLED_N:
             break
         # Seals that hardly slide would creep for thousands of periods: so by the secant method.
-        slope = (change - change_before) / (begin - before) if turn > 0 else -1.0
-        before, change_before = begin, change
-        seal = begin - change / min(max(slope, -1.0), -0.01)
+        for i in range(ELEMENTS):
+            slope = -1.0
+            if turn > 0 and begin[i] != begin_before[i]:
+                slope = (change[i] - change_before[i]) / (begin[i] - begin_before[i])
+            seals[BEFORE, i] = begin[i] - change[i] / min(max(slope, -1.0), -0.01)
+        begin_before[:], change_before[:] = begin, change
 
 
 def _wave(harmonics: Complex) -> Array:
@@ -195,7 +209,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     hydraulic = _harmonics(static - damping, count) * linear.fluid(p)(f)
 
     stiffness = load_spring(p)[0]
-    seal = 0.0
+    share = 0.0
     if p['friction_model'] == FULL and stiffness:
         # Seals that never slide are undeflected at the rest position.
         swing = _wave(np.concatenate([[0.0], velocity[1:] / (2j * np.pi * f[1:])]))
@@ -205,9 +219,9 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
                 else loop.friction_n / p['friction_presliding_stiffness'])
         bound = max(p['friction_stiction_push'], p['friction_stiction_pull'])
         bound /= p['friction_presliding_stiffness']
-        seal = float(np.clip(mean + swing[-1], -bound, bound))
+        share = float(np.clip((mean + swing[-1]) / bound, -1.0, 1.0)) if bound else 0.0
     seal_force = np.empty(GRID)
-    _friction(speed, seal, 1.0 / frequency_hz, p, seal_force)
+    _friction(speed, share, 1.0 / frequency_hz, p, seal_force)
     transmitted = hydraulic - _harmonics(seal_force, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)
     felt = transmitted - velocity * linear.inertia(f, p)

@@ -14,7 +14,7 @@ from study import STUDY
 
 from asi_actuator.model.actuator import measure, rest, simulate, step
 from asi_actuator.model.delay import delay, delay_steps
-from asi_actuator.model.friction import friction, sliding_friction
+from asi_actuator.model.friction import BEFORE, SEALS_SHAPE, friction, settle, sliding_friction
 from asi_actuator.model.hydraulic_damping import (
     damping_curve,
     damping_force,
@@ -316,13 +316,12 @@ def test_damping_is_odd_bounded_passive_and_its_slope_is_its_derivative() -> Non
 def seal_force(positions: npt.NDArray[np.float64], h: float,
                values: dict[str, Value] | None = None) -> npt.NDArray[np.float64]:
     """Return the friction (N) at the end of each of equal sub-steps between the positions."""
-    p, seal, out = as_record(values or {}), 0.0, []
+    p, seals, out = as_record(values or {}), np.zeros(SEALS_SHAPE), []
     velocity = np.diff(positions) / h
     ends = np.append(0.5 * (velocity[1:] + velocity[:-1]), velocity[-1])
     for mean, end in zip(velocity, ends, strict=True):
-        resistance = friction(seal, mean, end, p, h)
-        seal = resistance.seal
-        out.append(resistance.force)
+        out.append(friction(seals, mean, end, p, h).force)
+        settle(seals, 0.0, p)
     return np.array(out)
 
 
@@ -333,6 +332,19 @@ def test_slow_pull_and_push_break_away_at_the_published_forces() -> None:
     fast = np.linspace(0, 0.1, 2000)  # 50 mm/s, ten Stribeck velocities
     assert seal_force(fast, 1e-3)[-1] == pytest.approx(7.0, rel=1e-3)
     assert seal_force(-fast, 1e-3)[-1] == pytest.approx(-7.0, rel=1e-3)
+
+
+@pytest.mark.parametrize('changed', [{'friction.softening': 1.0}, {'friction.element_ratio': 2.0},
+                                     # Such an end is approached as 1 / way.
+                                     {'friction.presliding_slip': 1.0,
+                                      'friction.presliding_exponent': 2.0,
+                                      'friction.presliding_stiffness': 1e7}])
+@pytest.mark.parametrize('velocity', [2e-3, -2e-3, 0.1])
+def test_steady_friction_does_not_depend_on_how_sliding_begins(
+        changed: dict[str, Value], velocity: float) -> None:
+    path = velocity * np.linspace(0.0, 10.0, 10001)
+    assert seal_force(path, 1e-3, changed)[-1] == pytest.approx(
+        math.copysign(sliding_friction(velocity, as_record()), velocity), rel=2e-3)
 
 
 def test_seals_are_a_spring_before_they_slide() -> None:
@@ -359,19 +371,23 @@ def test_friction_dissipates_over_a_closed_cycle(amplitude: float, frequency: fl
         assert last == pytest.approx(steady, rel=0.05)
 
 
-@pytest.mark.parametrize(('slip', 'exponent'), [(0.0, 1.0), (1.0, 1.0), (1.0, 0.6), (1.0, 2.0),
-                                                (0.5, 1.4)])
+@pytest.mark.parametrize(('slip', 'exponent', 'softening', 'ratio'), [
+    (0.0, 1.0, 0.0, 1.0), (1.0, 1.0, 0.0, 1.0), (1.0, 0.6, 0.0, 1.0), (1.0, 2.0, 0.0, 1.0),
+    (0.5, 1.4, 0.0, 1.0), (0.5, 1.0, 1.0, 1.0), (0.5, 1.0, 0.5, 1.0), (1.0, 1.0, 1.0, 1.8)])
 def test_friction_converges_with_the_second_order_while_the_seals_begin_to_slide(
-        slip: float, exponent: float) -> None:
-    p = as_record({'friction.presliding_slip': slip, 'friction.presliding_exponent': exponent})
+        slip: float, exponent: float, softening: float, ratio: float) -> None:
+    p = as_record({
+        'friction.presliding_slip': slip, 'friction.presliding_exponent': exponent,
+        'friction.softening': softening, 'friction.element_ratio': ratio})
 
     def seal(substeps: int) -> float:
         time = np.linspace(0.0, 0.02, substeps + 1)
         path = 1.25e-4 * np.sin(0.5 * np.pi * time / time[-1])
-        state = 0.0
+        seals = np.zeros(SEALS_SHAPE)
         for velocity in np.diff(path) / time[1]:
-            state = friction(state, velocity, velocity, p, time[1]).seal
-        return state
+            friction(seals, velocity, velocity, p, time[1])
+            settle(seals, 0.0, p)
+        return float(seals[BEFORE].sum())
 
     errors = [seal(n) - seal(3200) for n in (100, 200, 400)]
     np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 2.0, atol=0.3)

@@ -274,6 +274,56 @@ def test_dahls_law_with_its_exponent_through_reversals(exponent: float) -> None:
     np.testing.assert_allclose(ours, -friction, atol=0.05)
 
 
+def test_elements_of_a_maxwell_slip_slide_one_after_the_other() -> None:
+    # Four of Dahl's bristles side by side, each of which slides after twice the way of the last.
+    level, stiffness, ratio, peak, frequency = 20.0, 2e5, 2.0, 0.02, 7.0
+    ours = force({'friction.model': 'full', 'friction.presliding_slip': 1.0,
+                  'friction.element_ratio': ratio, 'friction.coulomb': level,
+                  'friction.stiction_push': level, 'friction.stiction_pull': level,
+                  'friction.presliding_stiffness': stiffness, 'friction.presliding_damping': 0.0,
+                  'load.velocity': peak, 'load.frequency': frequency}, np.zeros(500))
+    shares = np.array([8.0, 4.0, 2.0, 1.0]) / 15.0   # of the stiffness
+
+    def rate(t: float, f: Any) -> Any:
+        v = peak * math.sin(2.0 * math.pi * frequency * t)
+        return stiffness * shares * v * (1.0 - 4.0 * f / level * np.sign(v))
+
+    time = PERIOD * np.arange(1, 501)
+    elements = solve_ivp(rate, (0.0, time[-1]), np.zeros(4), 'LSODA', time, rtol=1e-9, atol=1e-9,
+                         max_step=1e-4).y
+    np.testing.assert_allclose(ours, -elements.sum(axis=0), atol=0.05)
+
+
+@pytest.mark.parametrize('softening', [0.5, 1.0])
+def test_stiction_that_falls_with_the_stiffness_of_the_seals(softening: float) -> None:
+    coulomb, push, pull, stribeck, stiffness = 7.0, 27.0, 15.0, 0.005, 2e5
+    peak, frequency = 0.01, 4.0
+    ours = force({'friction.model': 'full', 'friction.presliding_slip': 1.0,
+                  'friction.softening': softening, 'friction.coulomb': coulomb,
+                  'friction.stiction_push': push, 'friction.stiction_pull': pull,
+                  'friction.stribeck_velocity': stribeck,
+                  'friction.presliding_stiffness': stiffness, 'friction.presliding_damping': 0.0,
+                  'load.velocity': peak, 'load.frequency': frequency}, np.zeros(1500))
+
+    def speed(t: Any) -> Any:
+        return peak * np.sin(2.0 * np.pi * frequency * t)
+
+    def levels(side: Any, v: Any) -> tuple[Any, Any]:
+        held = np.where(side >= 0.0, push, pull)
+        sliding = coulomb + (held - coulomb) * np.exp(-(v / stribeck) ** 2)
+        return sliding, sliding + softening * (held - sliding)
+
+    def rate(t: float, z: Any) -> Any:
+        v = speed(t)
+        return v - stiffness / levels(v, v)[1] * abs(v) * z
+
+    time = PERIOD * np.arange(1, 1501)
+    z = solve_ivp(rate, (0.0, time[-1]), [0.0], 'LSODA', time, rtol=1e-9, atol=1e-14,
+                  max_step=1e-4).y[0]
+    sliding, whole = levels(z, speed(time))
+    np.testing.assert_allclose(ours, -stiffness * z * sliding / whole, atol=0.05)
+
+
 def test_lugre_damps_the_bristle_through_reversals() -> None:
     # F = s0 z + s1 dz/dt, dz/dt = v - s0 |v| z / level (Canudas de Wit et al. 1995), v a sine.
     level, stiffness, damping, peak, frequency = 20.0, 2e5, 400.0, 0.01, 20.0

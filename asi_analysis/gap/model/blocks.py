@@ -17,7 +17,7 @@ import numpy as np
 
 from asi_actuator.model.delay import delay, delay_steps
 from asi_actuator.model.force_sensor import CARD_DAMPING
-from asi_actuator.model.friction import friction
+from asi_actuator.model.friction import SEALS_SHAPE, friction, settle
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import (
     first_order_or_none,
@@ -333,14 +333,16 @@ def slipping(elements, sizes, moved, velocity, p):
 
 
 @jit
-def inner_friction(seal, slips, sizes, extra, reach, v, mean, p, e, h):
+def inner_friction(seals, slips, sizes, extra, reach, v, mean, p, e, h):
     """
-    Return the deflection (m) of the nominal seals and the friction (N) before the force sensor.
+    Return the friction (N) before the force sensor.
 
+    seals: the nominal ones, which are deflected further;
     slips, sizes: elements of the nominal friction in its other formulation; extra, reach: those of
     the effects' friction; v, mean: velocity (m/s) at the end of `h` s and its mean.
     """
-    rub = friction(seal, mean, v, p, h)
+    rub = friction(seals, mean, v, p, h)
+    settle(seals, 0.0, p)
     total = rub.force
     if e.friction_slipping > 0.0:
         total += e.friction_slipping * (slipping(slips, sizes, mean * h, v, p) - rub.force)
@@ -348,7 +350,7 @@ def inner_friction(seal, slips, sizes, extra, reach, v, mean, p, e, h):
         if e.friction_level > 0.0:
             total += slide(extra, reach, mean * h, v, e)
         total += viscous_force(v, e)
-    return rub.seal, total
+    return total
 
 
 @jit
@@ -363,13 +365,12 @@ def viscous_force(v, e):
 @jit
 def cylinder_friction(velocity, p, e, h, out):
     """Put the friction (N) before the force sensor into `out`; velocity: m/s, each `h` s."""
-    seal, before = 0.0, velocity[0]
+    seals, before = np.zeros(SEALS_SHAPE), velocity[0]
     extra, reach = seized(e)
     slips, sizes = np.zeros(PLAYS), spread(0.6)
     for i in range(out.shape[0]):
         v = velocity[i]
-        seal, out[i] = inner_friction(seal, slips, sizes, extra, reach, v, 0.5 * (before + v), p,
-                                      e, h)
+        out[i] = inner_friction(seals, slips, sizes, extra, reach, v, 0.5 * (before + v), p, e, h)
         before = v
 
 
@@ -424,7 +425,8 @@ def travel(position, p, e, damping, stiffness, period, count, out):
     keep = math.exp(-h / e.supply_time)
     extra, reach = seized(e)
     slips, sizes = np.zeros(PLAYS), spread(0.6)
-    x, v, v_before, seal = 0.0, 0.0, 0.0, 0.0
+    seals = np.zeros(SEALS_SHAPE)
+    x, v, v_before = 0.0, 0.0, 0.0
     wanted, opened = supplied(position[0], 0.0, 0.0, p, e, 0.0)
     hydraulic = 0.0
     for k in range(out.shape[0]):
@@ -438,7 +440,7 @@ def travel(position, p, e, damping, stiffness, period, count, out):
             wanted, opened = supplied(z, 2.0 * v - v_before, opened, p, e, keep)
             hydraulic = pressed(hydraulic, before, wanted, oil, p, e, h)
             middle = 1.5 * v - 0.5 * v_before
-            seal, rub = inner_friction(seal, slips, sizes, extra, reach, middle, middle, p, e, h)
+            rub = inner_friction(seals, slips, sizes, extra, reach, middle, middle, p, e, h)
             v_before = v
             v += h / p.load_mass * (0.5 * (hydraulic_before + hydraulic) - rub - damping * middle
                                     - stiffness * (x + 0.5 * h * middle))

@@ -39,17 +39,25 @@ _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
                    for way in ('push', 'pull'))
 
 
-def _first_friction(*more: Free, sharp: bool = True) -> tuple[Variant, ...]:
+# How friction begins to slide: all at once, by Dahl's law; or element after element.
+_DAHL = ((Free('friction_presliding_exponent', 0.3, 3.0, (1.0,)),),
+         {'friction_presliding_slip': 1.0})
+_MAXWELL = ((Free('friction_presliding_slip', 0.0, 1.0, (0.5,)),
+             Free('friction_element_ratio', 1.0, 6.0, (1.5,))), dict[str, float]())
+
+
+def _first_friction(*more: Free, sharp: bool = True,
+                    laws: tuple[tuple[tuple[Free, ...], dict[str, float]], ...] = (_DAHL,)
+                    ) -> tuple[Variant, ...]:
     """Return forms of friction in a plant that has none: on either side of the force sensor."""
-    fixed = {'friction_model': FULL, 'friction_presliding_slip': 1.0} | (
-        {'friction_stribeck_velocity': 1e-6} if sharp else {})   # its least: no stiction
+    without_stiction = {'friction_stribeck_velocity': 1e-6} if sharp else {}   # its least
     return tuple(_form(
         MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
-        _scaled('friction_presliding_stiffness', 0.05, 50.0, (1.0, 10.0)),
-        Free('friction_presliding_exponent', 0.3, 3.0, (1.0,)),
+        _scaled('friction_presliding_stiffness', 0.05, 300.0, (1.0, 10.0, 60.0)), *sliding,
         _scaled('friction_presliding_damping', 0.0, 4.0, (1.0,)), *more,
-        fixed=fixed | {'friction_location': place}, where={'friction_model': OFF})
-        for place in (CYLINDER, BEHIND_SENSOR))
+        fixed={'friction_model': FULL, 'friction_location': place} | without_stiction | fixed,
+        where={'friction_model': OFF})
+        for sliding, fixed in laws for place in (CYLINDER, BEHIND_SENSOR))
 
 
 _ASYMMETRIES = tuple(Free('friction_coulomb_asymmetry', low, high, (start,))
@@ -138,7 +146,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         # In some formulations the breakaway force grows with Coulomb friction.
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (3.0, 0.4)), *_BREAKAWAY,
               needs=('friction_model',)),
-        *_first_friction(),
+        *_first_friction(laws=(_DAHL, _MAXWELL)),
     ),
     'stiction': (
         _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0), needs=('friction_model',)),
@@ -151,7 +159,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         *_first_friction(*(Free(f'friction_stiction_{way}', 0.0, 1.5, (0.1, 0.3), 'force', 'N')
                            for way in ('push', 'pull')),
                          Free('friction_stribeck_velocity', 0.003, 0.6, (0.1, 0.3), 'velocity',
-                              'm/s'), sharp=False),
+                              'm/s'),
+                         Free('friction_softening', 0.0, 1.0, (0.5,)), sharp=False,
+                         laws=(_MAXWELL,)),
     ),
     'friction_asymmetry': (
         _form(MOVED, Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.3, -0.3)),
@@ -232,7 +242,6 @@ SHAPES = {
     'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.0,))),
     'force': (Free('hydraulic_damping_tail', -1.0, 1.0, (0.0,)),
-              Free('friction_softening', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),

@@ -27,7 +27,13 @@ from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.start import before_valve, state_at_start, state_key
+from asi_analysis.gap.model.start import (
+    SPREAD,
+    actuator_of,
+    before_valve,
+    state_at_start,
+    state_key,
+)
 from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Recording
@@ -50,7 +56,6 @@ VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for nam
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 # Fields of the delays of the command.
 DELAYS = ('command_path_delay', 'valve_flexure_delay')
-SPREAD = 'command_path_delay_spread'
 # Fields of the errors of the valve's fit, and their largest size, standard deviations.
 VALVE_ERROR, MOST_ERROR = 'valve_error_', 6.0
 POSITION_ERROR = 0.002   # model error of velocity and position, as a share of their rms
@@ -110,13 +115,6 @@ def of_simulator(p: np.void) -> bool:
     return 'loop_width' not in (p.dtype.names or ())
 
 
-def _actuator(p: np.void) -> np.void:
-    """Return the actuator's own fields of a record, with the mean of an uneven delay."""
-    q = np.frombuffer(bytearray(p.tobytes()), ACTUATOR_DTYPE, 1)[0]
-    q[SPREAD] = 0.0
-    return q
-
-
 def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
     """Return a prediction from the recording's cache, or made and kept there."""
     cached = recording.cache.setdefault(kind, {})   # several threads use it
@@ -148,7 +146,7 @@ def _deflection(recording: Recording, p: np.void) -> Array:
     Rows: the period before the recording and its n periods; columns: after the command's jump and
     after each sub-step. It does not depend on the gain of the valve, and is cached.
     """
-    q, command = _actuator(p), recording.command
+    q, command = actuator_of(p), recording.command
     q['valve_flexure_travel_limit'] /= metres_per_newton(p)
     for name in ('gain', 'maximum_force', 'full_opening'):
         q[f'valve_characteristic_{name}'] = 1.0
@@ -206,10 +204,10 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
         if recording.valve_estimate is not None:
             error = recording.valve_estimate - unit * deflection[:-1, -1]
             error[:-1] = 0.5 * (error[:-1] + error[1:])   # in a period: the mean of both ends
-        _follow(state, deflection[1:], unit, error, _actuator(p), recording.period_s, out)
+        _follow(state, deflection[1:], unit, error, actuator_of(p), recording.period_s, out)
         return out
 
-    return _cached(recording, 'motion', _actuator(p).tobytes() + state_key(p), run)
+    return _cached(recording, 'motion', actuator_of(p).tobytes() + state_key(p), run)
 
 
 def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]]:
@@ -296,7 +294,7 @@ def _mean_position_error(recording: Recording, position: Array, p: np.void) -> f
     position is uncertain.
     """
     motion = recording.motion
-    if motion is None or not motion.measured or load_spring(_actuator(p))[0] == 0.0:
+    if motion is None or not motion.measured or load_spring(actuator_of(p))[0] == 0.0:
         return 0.0
     inner = slice(motion.pad, motion.pad + position.size)
     real, valid = motion.position[inner], recording.valid
@@ -318,7 +316,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     motion = recording.motion
     assert motion is not None and recording.force is not None
     force, velocity, _ = simulated_motion(recording, p)
-    stiffness, damping = load_spring(_actuator(p))
+    stiffness, damping = load_spring(actuator_of(p))
     inner = slice(motion.pad, motion.pad + velocity.size)
     measured = motion.velocity[inner] if recording.raw_velocity is None else recording.raw_velocity
 
@@ -334,7 +332,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
 
 def valve_response(recording: Recording, p: np.void, samples: int, count: int) -> Any:
     """Return the linear frequency response of the valve, from `samples` of its step response."""
-    ends = _step_response(_actuator(p), recording.period_s, samples)
+    ends = _step_response(actuator_of(p), recording.period_s, samples)
     out = np.concatenate([[0.0], ends[:-1]])
     return np.fft.rfft(np.diff(out, append=out[-1]), count)
 
@@ -345,7 +343,7 @@ def pulse_response(p: np.void, period_s: float, samples: int) -> Array:
 
     Without delays: from the period on in which the command arrives.
     """
-    q = _actuator(p)
+    q = actuator_of(p)
     for name in DELAYS:
         q[name] = 0.0
     return np.diff(_step_response(q, period_s, samples), prepend=0.0)

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from asi_actuator.model.actuator import STATE_DTYPE
-from asi_actuator.model.friction import BEHIND_SENSOR
+from asi_actuator.model.friction import BEHIND_SENSOR, deflected_seals, friction
+from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, of_recording
 from asi_analysis.gap.parts import BURN_IN_S
@@ -24,6 +25,7 @@ from asi_common.record import with_fields
 FLUX, SEAL, SUPPLY, POSITION, VELOCITY = START_FIELDS = (
     'start_flux', 'start_seal', 'start_supply', 'start_position', 'start_velocity')
 MEMORIES = (FLUX, SEAL)
+SPREAD = 'command_path_delay_spread'
 # As shares of the measured range: the bounds of position and velocity, and the standard deviation
 # of their initial values from a line through the first samples.
 WIDE, MISSED = 3.0, 0.3
@@ -96,11 +98,19 @@ def _first(values: Array, period: float) -> float:
     return float(np.polyfit(np.arange(count), values[:count], 1)[1])
 
 
+def actuator_of(p: np.void) -> np.void:
+    """Return the actuator's own fields of a record, with the mean of an uneven delay."""
+    q = np.frombuffer(bytearray(p.tobytes()), ACTUATOR_DTYPE, 1)[0]
+    q[SPREAD] = 0.0
+    return q
+
+
 def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
     """Return the state at the first sample; valve: its position in each period, m."""
     state = np.zeros(1, STATE_DTYPE)[0]
     if recording.at_rest:
         return state
+    actuator = actuator_of(p)
     state['valve_position'] = valve[0]
     opening = np.abs(valve) / p['valve_characteristic_full_opening']
     state['supply_load'] = min(max(np.minimum(opening, 1.0).mean()
@@ -113,12 +123,13 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
         state['position'] = position * motion.measured + _fitted(recording, p, POSITION)
         state['velocity'] = velocity + _fitted(recording, p, VELOCITY)
     state['load_position'], state['load_velocity'] = state['position'], state['velocity']
-    holds = max(p[f'friction_{name}'] for name in ('coulomb', 'stiction_push', 'stiction_pull'))
-    state['seal'] = _fitted(recording, p, SEAL) * holds / p['friction_presliding_stiffness']
+    state['seals'] = deflected_seals(_fitted(recording, p, SEAL), actuator)
     if recording.force is not None:
         for name in ('hydraulic_force', 'sensor', 'card', 'sensed', 'sensor_input',
                      'sensor_lagged', 'sensor_ring'):
             state[name] = recording.force[0]
         if p['friction_model'] == FULL and p['friction_location'] != BEHIND_SENSOR:
-            state['hydraulic_force'] += p['friction_presliding_stiffness'] * state['seal']
+            velocity = float(state['velocity'])
+            state['hydraulic_force'] += friction(
+                state['seals'], velocity, velocity, actuator, 0.0).force
     return state
