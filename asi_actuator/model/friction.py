@@ -235,12 +235,19 @@ def settle(seals, change, p):
 
 
 @jit
-def deflected_seals(share, p):
-    """Return seals (SEALS_SHAPE), each at a share (-1 to 1) of its largest deflection."""
-    seals = np.zeros(SEALS_SHAPE)
-    held = share * max(held_friction(True, p), held_friction(False, p))
+def largest_deflection(p):
+    """Return the deflection (m) at rest beyond which the last element of the seals slides."""
     count, reach = elements(p)
-    for i in range(count):
-        seals[BEFORE, i] = reach * held / p.friction_presliding_stiffness
-        reach *= p.friction_element_ratio
+    held = max(held_friction(True, p), held_friction(False, p))
+    return reach * p.friction_element_ratio ** (count - 1) * held / p.friction_presliding_stiffness
+
+
+@jit
+def deflected_seals(deflection, p):
+    """Return seals (SEALS_SHAPE) that were deflected (m) together, each up to where it slides."""
+    seals = np.zeros(SEALS_SHAPE)
+    limit = largest_deflection(p)
+    for i in range(elements(p)[0] - 1, -1, -1):
+        seals[BEFORE, i] = min(max(deflection, -limit), limit)
+        limit /= p.friction_element_ratio
     return seals

@@ -153,14 +153,10 @@ def valve_forces(position: Array, velocity: Array, p: np.void) -> tuple[Array, A
 
 
 @jit
-def _friction(velocity, share, period, p, out):
-    """
-    Fill in the friction over a period, for a periodic deflection of the seals.
-
-    share: of the largest deflection at the begin, -1 to 1.
-    """
+def _friction(velocity, deflection, period, p, out):
+    """Fill in the friction (N) over a period of seals that begin with a deflection (m)."""
     step = period / velocity.size
-    seals = deflected_seals(share, p)
+    seals = deflected_seals(deflection, p)
     begin, change = np.zeros(ELEMENTS), np.zeros(ELEMENTS)
     begin_before, change_before = np.zeros(ELEMENTS), np.zeros(ELEMENTS)
     for turn in range(SEALS_SETTLING):
@@ -209,7 +205,7 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
     hydraulic = _harmonics(static - damping, count) * linear.fluid(p)(f)
 
     stiffness = load_spring(p)[0]
-    share = 0.0
+    deflection = 0.0
     if p['friction_model'] == FULL and stiffness:
         # Seals that never slide are undeflected at the rest position.
         swing = _wave(np.concatenate([[0.0], velocity[1:] / (2j * np.pi * f[1:])]))
@@ -217,11 +213,9 @@ def plant_response(loop: Loop, command: Complex, velocity: Complex, frequency_hz
         mean = ((hydraulic[0].real + p['load_external_force']) / springs
                 if loop.friction_n is None
                 else loop.friction_n / p['friction_presliding_stiffness'])
-        bound = max(p['friction_stiction_push'], p['friction_stiction_pull'])
-        bound /= p['friction_presliding_stiffness']
-        share = float(np.clip((mean + swing[-1]) / bound, -1.0, 1.0)) if bound else 0.0
+        deflection = float(mean + swing[-1])
     seal_force = np.empty(GRID)
-    _friction(speed, share, 1.0 / frequency_hz, p, seal_force)
+    _friction(speed, deflection, 1.0 / frequency_hz, p, seal_force)
     transmitted = hydraulic - _harmonics(seal_force, count)
     excess = transmitted[1:] - velocity[1:] * linear.impedance(f[1:], p)
     felt = transmitted - velocity * linear.inertia(f, p)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from asi_actuator.model.actuator import STATE_DTYPE
-from asi_actuator.model.friction import BEHIND_SENSOR, deflected_seals, friction
+from asi_actuator.model.friction import BEHIND_SENSOR, deflected_seals, friction, largest_deflection
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, of_recording
@@ -123,7 +123,8 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
         state['position'] = position * motion.measured + _fitted(recording, p, POSITION)
         state['velocity'] = velocity + _fitted(recording, p, VELOCITY)
     state['load_position'], state['load_velocity'] = state['position'], state['velocity']
-    state['seals'] = deflected_seals(_fitted(recording, p, SEAL), actuator)
+    state['seals'] = deflected_seals(
+        _fitted(recording, p, SEAL) * largest_deflection(actuator), actuator)
     if recording.force is not None:
         for name in ('hydraulic_force', 'sensor', 'card', 'sensed', 'sensor_input',
                      'sensor_lagged', 'sensor_ring'):

@@ -63,10 +63,20 @@ def test_characteristic_is_its_closed_form(amplitude, bias):
     assert describing.characteristic(amplitude, bias, p).real == pytest.approx(closed, rel=1e-3)
 
 
-def test_fast_sliding_is_coulomb_friction():
-    p = as_record({'friction.presliding_stiffness': 1e8, 'friction.presliding_damping': 0.0})
+@pytest.mark.parametrize('friction', [{}, {'friction.element_ratio': 2.0},
+                                      {'friction.softening': 1.0}])
+def test_fast_sliding_is_coulomb_friction(friction):
+    p = as_record({'friction.presliding_stiffness': 1e8, 'friction.presliding_damping': 0.0}
+                  | friction)
     assert describing.seal_friction(5.0, 10.0, p).real == pytest.approx(
         4.0 * 7.0 / (np.pi * 5.0), rel=0.02)   # 4 F / (pi A)
+
+
+@pytest.mark.parametrize('ratio', [1.0, 2.0])
+def test_seals_that_do_not_slide_are_a_spring(ratio):
+    p = as_record({'friction.presliding_damping': 0.0, 'friction.element_ratio': ratio})
+    assert describing.seal_friction(1e-4, 10.0, p) == pytest.approx(
+        p['friction_presliding_stiffness'] / (2j * np.pi * 10.0), rel=0.01)
 
 
 def test_damping_of_a_small_motion_is_its_slope():
@@ -99,12 +109,14 @@ def test_describing_function_first_meets_the_loop_where_the_paper_says():
 
 
 # The last is a small cycle near its fold: slow to settle, and its seals remember the step.
-@pytest.mark.parametrize('step, gain', [(100.0, 10.0), (300.0, 11.0), (600.0, 10.0)])
-def test_balance_is_the_simulated_cycle(step, gain):
+@pytest.mark.parametrize('step, gain, actuator', [
+    (100.0, 10.0, {'friction.element_ratio': 1.6, 'friction.softening': 1.0}),
+    (100.0, 10.0, {}), (300.0, 11.0, {}), (600.0, 10.0, {})])
+def test_balance_is_the_simulated_cycle(step, gain, actuator):
     settings = {'gain': gain, 'reference.amplitude': step}
-    run = step_run({}, settings, RATE_HZ)
+    run = step_run(actuator, settings, RATE_HZ)
     swing = sustained(run)
-    loop = with_mean_friction(loop_of({}, settings, RATE_HZ), run, swing.frequency_hz)
+    loop = with_mean_friction(loop_of(actuator, settings, RATE_HZ), run, swing.frequency_hz)
     # A guess that is well off, so that the balance has to find the cycle by itself.
     guess = as_balance(run, swing, gain, 7)
     guess = guess._replace(frequency_hz=1.03 * guess.frequency_hz, command=0.93 * guess.command)
