@@ -211,7 +211,7 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               0.0, 1.0),
     Parameter('friction.presliding_exponent', 1.0, '',
               "Exponent of Dahl's law: above 1 sliding sets in earlier and is complete later",
-              0.2, 5.0),
+              0.5, 5.0),
     Parameter('friction.stiction_push', 27.0, 'N', 'Breakaway force when the piston extends',
               0.0, 1e4, source='paper, section 2.2'),
     Parameter('friction.stiction_pull', 15.0, 'N', 'Breakaway force when the piston retracts',

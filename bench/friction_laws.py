@@ -43,7 +43,7 @@ SIZES: Final = {'friction.coulomb': (1.0, 100.0), 'friction.stiction_push': (1.0
                 'friction.presliding_stiffness': (1e4, 1e7),
                 'friction.presliding_damping': (1e-2, 1e4)}
 SLIP, EXPONENT, RATIO, SOFTENING = ({'friction.presliding_slip': (0.0, 1.0)},
-                                    {'friction.presliding_exponent': (0.3, 3.0)},
+                                    {'friction.presliding_exponent': (0.5, 3.0)},
                                     {'friction.element_ratio': (1.0, 6.0)},
                                     {'friction.softening': (0.0, 1.0)})
 CHOICES: Final = {'as it was: slip': SLIP, 'exponent': EXPONENT, 'elements': SLIP | RATIO,

@@ -20,6 +20,7 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 #define SLOPE 2
 #define LEAST_STEEPNESS 0.25
 #define NEAR 1e-6
+#define LEAST_LIMIT 1e-100
 #define LINEAR_STEP 5e-6
 #define MOST_ROUNDS 60
 
@@ -280,31 +281,30 @@ static inline double sliding_friction(double velocity, const struct parameters *
     return coulomb + (stiction(forward, p) - coulomb) * exp(-relative * relative);
 }
 
-static inline double held_friction(int forward, const struct parameters *p)
+static inline double softens(int forward, const struct parameters *p)
 {
-    return fmax(stiction(forward, p), coulomb_friction(forward, p));
+    return stiction(forward, p) <= coulomb_friction(forward, p) ? 0.0 : p->friction_softening;
 }
 
 static inline double breakaway_deflection(double velocity, const struct parameters *p)
 {
-    double force = sliding_friction(velocity, p), softening = p->friction_softening;
+    int forward = copysign(1.0, velocity) > 0.0;
+    double force = sliding_friction(velocity, p), softening = softens(forward, p);
     if (softening != 0.0)
-        force += softening * (held_friction(velocity >= 0.0, p) - force);
+        force += softening * (stiction(forward, p) - force);
     return force / p->friction_presliding_stiffness;
 }
 
 static inline double softened(double deflection, double velocity, const struct parameters *p,
                               double *slope)
 {
-    double softening = p->friction_softening;
+    int forward = deflection >= 0.0;
+    double softening = softens(forward, p);
     *slope = 0.0;
     if (softening == 0.0)
         return 1.0;
-    int forward = deflection >= 0.0;
     double slides = sliding_friction(copysign(velocity, deflection), p);
-    double held = held_friction(forward, p), whole = slides + softening * (held - slides);
-    if (whole <= 0.0)
-        return 1.0;
+    double held = stiction(forward, p), whole = slides + softening * (held - slides);
     double falls = 2.0 * velocity / (p->friction_stribeck_velocity * p->friction_stribeck_velocity)
         * (slides - coulomb_friction(forward, p));
     *slope = -softening * held / (whole * whole) * falls;
@@ -335,7 +335,7 @@ static inline double deflect(double before, double velocity, double limit,
                              const struct parameters *p, double h, double *slope)
 {
     *slope = 0.0;
-    if (limit <= 0.0)
+    if (limit < LEAST_LIMIT)
         return 0.0;
     double speed = fabs(velocity);
     double loss = sliding(before, velocity, limit, p) / limit;
@@ -381,7 +381,7 @@ static inline struct rub friction(double (*seals)[ELEMENTS], double mean_velocit
         seals[AFTER][i] = after;
         seals[SLOPE][i] = deflects;
         double share = softened(after, velocity, p, &share_slope);
-        if (limit > 0.0)
+        if (limit >= LEAST_LIMIT)
             elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p)
                                     * copysign(1.0, velocity) * after / (reach * limit));
         double stiffness = p->friction_presliding_stiffness / (count * reach);
@@ -397,8 +397,8 @@ static inline void settle(double (*seals)[ELEMENTS], double change, const struct
 {
     double reach;
     int count = elements(p, &reach);
-    for (int i = 0; i < count; i++)
-        seals[BEFORE][i] = p->friction_model == FULL
+    for (int i = 0; i < ELEMENTS; i++)
+        seals[BEFORE][i] = i < count && p->friction_model == FULL
             ? seals[AFTER][i] + seals[SLOPE][i] * change : 0.0;
 }
 

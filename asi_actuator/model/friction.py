@@ -77,11 +77,20 @@ def held_friction(forward, p):
 
 
 @jit
+def softens(forward, p):
+    """Return how far the stiffness falls in place of the deflection, 0 to 1, in a direction."""
+    if p.friction_softening == 0.0 or stiction(forward, p) <= coulomb_friction(forward, p):
+        return 0.0
+    return p.friction_softening
+
+
+@jit
 def breakaway_deflection(velocity, p):
     """Return the deflection (m) of the seals when sliding at a steady `velocity` (m/s)."""
-    force, softening = sliding_friction(velocity, p), p.friction_softening
+    forward = math.copysign(1.0, velocity) > 0.0
+    force, softening = sliding_friction(velocity, p), softens(forward, p)
     if softening != 0.0:
-        force += softening * (held_friction(velocity >= 0.0, p) - force)
+        force += softening * (stiction(forward, p) - force)
     return force / p.friction_presliding_stiffness
 
 
@@ -92,15 +101,12 @@ def softened(deflection, velocity, p):
 
     deflection: m, for its sign; velocity: m/s, with which the slope is the derivative.
     """
-    softening = p.friction_softening
+    forward = deflection >= 0.0
+    softening = softens(forward, p)
     if softening == 0.0:
         return 1.0, 0.0
-    forward = deflection >= 0.0
-    sliding = sliding_friction(math.copysign(velocity, deflection), p)
-    held = held_friction(forward, p)
+    sliding, held = sliding_friction(math.copysign(velocity, deflection), p), stiction(forward, p)
     whole = sliding + softening * (held - sliding)
-    if whole <= 0.0:
-        return 1.0, 0.0
     falls = (2.0 * velocity / p.friction_stribeck_velocity ** 2
              * (sliding - coulomb_friction(forward, p)))
     return sliding / whole, -softening * held / whole ** 2 * falls
@@ -149,8 +155,9 @@ def deflect(before, velocity, limit, p, h):
     Return a seal's deflection (m) after `h` s at a mean `velocity` (m/s), and its slope (s).
 
     limit: deflection (m) at which all of the motion slides. The slope is the derivative with the
-    velocity, for the implicit solution of the load; not negative, so that Newton's rule always
-    steps the right way. Second order, and never beyond the limit however long the sub-step.
+    velocity (nearly, with an exponent), for the implicit solution of the load; not negative, so
+    that Newton's rule always steps the right way. Second order, and never beyond the limit however
+    long the sub-step.
     """
     if limit < LEAST_LIMIT:
         return 0.0, 0.0
@@ -230,8 +237,11 @@ def settle(seals, change, p):
     if p.friction_model != FULL:
         seals[BEFORE] = 0.0
         return
-    for i in range(elements(p)[0]):
+    count = elements(p)[0]
+    for i in range(count):
         seals[BEFORE, i] = seals[AFTER, i] + seals[SLOPE, i] * change
+    for i in range(count, ELEMENTS):
+        seals[BEFORE, i] = 0.0
 
 
 @jit

@@ -7,6 +7,7 @@ geometric means over many periods, that is exp(Lyapunov exponent times period) (
 Meccanica 15, 1980). The one along the orbit is 1, because the phase is free.
 """
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -50,8 +51,9 @@ class _SampledLoop:
         # Unused states stay at zero; perturbations of them would never decay.
         self.fields = self.fields or [
             name for name in STATE_DTYPE.names or () if name != 'time'
-            and STATE_DTYPE[name] == np.float64 and self.state[name] != 0.0]
-        parts = [[self.state[name] for name in self.fields],
+            and not name.endswith('ring') and STATE_DTYPE[name].base == np.float64
+            and np.any(self.state[name] != 0.0)]
+        parts = [*[np.ravel(self.state[name]) for name in self.fields],
                  *[self.state[ring][ages] for ring in RINGS],
                  *[np.ravel(self.compensator[name]) for name in MEMORIES]]
         return np.concatenate([np.asarray(part, float) for part in parts])
@@ -59,17 +61,21 @@ class _SampledLoop:
     def put(self, vector: Array) -> None:
         """Set the state."""
         ages = (int(self.state['ring_index']) - np.arange(self.depth)) % RING
-        for name, value in zip(self.fields, vector, strict=False):
-            self.state[name] = value
-        start = len(self.fields)
+        start = 0
+
+        def restore(record: np.void, names: Iterable[str]) -> None:
+            nonlocal start
+            for name in names:
+                shape = np.shape(record[name])
+                size = int(np.prod(shape))
+                record[name] = vector[start:start + size].reshape(shape)
+                start += size
+
+        restore(self.state, self.fields)
         for ring in RINGS:
             self.state[ring][ages] = vector[start:start + self.depth]
             start += self.depth
-        for name in MEMORIES:
-            shape = np.shape(self.compensator[name])
-            size = int(np.prod(shape))
-            self.compensator[name] = vector[start:start + size].reshape(shape)
-            start += size
+        restore(self.compensator, MEMORIES)
 
 
 def multipliers(actuator: Values, controller: Values, rate_hz: float, frequency_hz: float

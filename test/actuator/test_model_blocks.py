@@ -14,7 +14,15 @@ from study import STUDY
 
 from asi_actuator.model.actuator import measure, rest, simulate, step
 from asi_actuator.model.delay import delay, delay_steps
-from asi_actuator.model.friction import BEFORE, SEALS_SHAPE, friction, settle, sliding_friction
+from asi_actuator.model.friction import (
+    BEFORE,
+    SEALS_SHAPE,
+    Friction,
+    deflected_seals,
+    friction,
+    settle,
+    sliding_friction,
+)
 from asi_actuator.model.hydraulic_damping import (
     damping_curve,
     damping_force,
@@ -345,6 +353,38 @@ def test_steady_friction_does_not_depend_on_how_sliding_begins(
     path = velocity * np.linspace(0.0, 10.0, 10001)
     assert seal_force(path, 1e-3, changed)[-1] == pytest.approx(
         math.copysign(sliding_friction(velocity, as_record()), velocity), rel=2e-3)
+
+
+@pytest.mark.parametrize('changed', [
+    {'friction.softening': 1.0}, {'friction.softening': 0.7, 'friction.element_ratio': 1.5}])
+@pytest.mark.parametrize('velocity', [3e-3, -3e-3, 6e-3])
+def test_slope_of_friction_that_softens_is_its_derivative(
+        changed: dict[str, Value], velocity: float) -> None:
+    p = as_record({'friction.presliding_slip': 1.0, 'friction.presliding_damping': 0.0} | changed)
+    before, h = 2e-4 * np.sign(velocity), 1e-4
+
+    def at(end: float) -> Friction:
+        return friction(deflected_seals(before, p), 0.5 * (velocity + end), end, p, h)
+
+    step = 1e-7
+    numerical = (at(velocity + step).force - at(velocity - step).force) / (2.0 * step)
+    # How the limit of the deflection changes with the velocity is left out.
+    assert at(velocity).slope == pytest.approx(numerical, rel=0.02, abs=1.0)
+
+
+def test_softening_needs_a_stiction_above_coulomb_friction() -> None:
+    values: dict[str, Value] = {'friction.coulomb': 20.0, 'friction.stiction_push': 10.0}
+    path = np.linspace(0.0, 2e-3, 400)
+    np.testing.assert_array_equal(seal_force(path, 1e-3, values | {'friction.softening': 1.0}),
+                                  seal_force(path, 1e-3, values))
+
+
+def test_elements_that_are_switched_off_are_forgotten() -> None:
+    seals = deflected_seals(1e-3, as_record({'friction.element_ratio': 3.0}))
+    p = as_record()
+    friction(seals, -0.1, -0.1, p, 1e-3)
+    settle(seals, 0.0, p)
+    assert not seals[BEFORE, 1:].any()
 
 
 def test_seals_are_a_spring_before_they_slide() -> None:

@@ -40,7 +40,7 @@ _BREAKAWAY = tuple(_scaled(f'friction_stiction_{way}', 0.0, 20.0, (1.5,))
 
 
 # How friction begins to slide: all at once, by Dahl's law; or element after element.
-_DAHL = ((Free('friction_presliding_exponent', 0.3, 3.0, (1.0,)),),
+_DAHL = ((Free('friction_presliding_exponent', 0.5, 3.0, (1.0,)),),
          {'friction_presliding_slip': 1.0})
 _MAXWELL = ((Free('friction_presliding_slip', 0.0, 1.0, (0.5,)),
              Free('friction_element_ratio', 1.0, 6.0, (1.5,))), dict[str, float]())

@@ -11,7 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from asi_actuator.model.actuator import STATE_DTYPE
-from asi_actuator.model.friction import BEHIND_SENSOR, deflected_seals, friction, largest_deflection
+from asi_actuator.model.friction import (
+    BEHIND_SENSOR,
+    deflected_seals,
+    friction,
+    largest_deflection,
+)
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, of_recording
@@ -130,7 +135,6 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
                      'sensor_lagged', 'sensor_ring'):
             state[name] = recording.force[0]
         if p['friction_model'] == FULL and p['friction_location'] != BEHIND_SENSOR:
-            velocity = float(state['velocity'])
-            state['hydraulic_force'] += friction(
-                state['seals'], velocity, velocity, actuator, 0.0).force
+            # What deflects the seals; their damping ends as soon as they slide.
+            state['hydraulic_force'] += friction(state['seals'], 0.0, 0.0, actuator, 0.0).force
     return state
