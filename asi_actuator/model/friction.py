@@ -31,7 +31,6 @@ NEAR: Final = 1e-6
 # Least breakaway deflection (m) of seals with friction: the inverse of a smaller one overflows.
 LEAST_LIMIT: Final = 1e-100
 
-
 # The seals are so many elements in parallel if they do not slide all at once.
 ELEMENTS: Final = 4
 # Rows of their deflections (m): at the start and the end of a sub-step; and the slope (s) of the

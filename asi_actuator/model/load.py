@@ -19,7 +19,7 @@ LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 # A Newton step (m/s) so small that the damping is linear over it: for the default damping the
 # error is below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
 LINEAR_STEP: Final = 5e-6
-# Of the residual with the velocity, as a share of that of the mass alone.
+# Least slope of the residual with the velocity, as a share of that of the mass alone.
 LEAST_STEEPNESS: Final = 0.25
 # Enough for the bisection that a Newton step falls back to.
 MOST_ROUNDS: Final = 60

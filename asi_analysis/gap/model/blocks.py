@@ -337,9 +337,9 @@ def inner_friction(seals, slips, sizes, extra, reach, v, mean, p, e, h):
     """
     Return the friction (N) before the force sensor.
 
-    seals: the nominal ones, which are deflected further;
-    slips, sizes: elements of the nominal friction in its other formulation; extra, reach: those of
-    the effects' friction; v, mean: velocity (m/s) at the end of `h` s and its mean.
+    seals: the nominal ones, which are deflected further; slips, sizes: elements of the nominal
+    friction in its other formulation; extra, reach: those of the effects' friction; v, mean:
+    velocity (m/s) at the end of `h` s and its mean.
     """
     rub = friction(seals, mean, v, p, h)
     settle(seals, 0.0, p)
