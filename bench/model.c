@@ -325,7 +325,7 @@ static inline double sliding(double deflection, double velocity, double limit,
     }
     if (exponent == 1.0)
         return share;
-    double slides = share * copysign(1.0, velocity) * deflection / limit;
+    double slides = fmax(share * copysign(1.0, velocity) * deflection / limit, -1.0);
     if (fabs(slides) < NEAR)
         return exponent * share;
     return slides >= 1.0 ? share : share * (1.0 - pow(1.0 - slides, exponent)) / slides;
@@ -381,9 +381,10 @@ static inline struct rub friction(double (*seals)[ELEMENTS], double mean_velocit
         seals[AFTER][i] = after;
         seals[SLOPE][i] = deflects;
         double share = softened(after, velocity, p, &share_slope);
-        if (limit >= LEAST_LIMIT)
-            elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p)
-                                    * copysign(1.0, velocity) * after / (reach * limit));
+        if (limit >= LEAST_LIMIT) {
+            double along = fmax(copysign(1.0, velocity) * after / (reach * limit), -1.0);
+            elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along);
+        }
         double stiffness = p->friction_presliding_stiffness / (count * reach);
         double damping = p->friction_presliding_damping * elastic / (count * reach);
         r.force += share * stiffness * after + damping * velocity;

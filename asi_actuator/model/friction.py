@@ -140,7 +140,8 @@ def sliding(deflection, velocity, limit, p):
     exponent = p.friction_presliding_exponent
     if exponent == 1.0:
         return share
-    slides = share * math.copysign(1.0, velocity) * deflection / limit
+    # The limit of the other direction, from which the deflection comes, may be far larger.
+    slides = max(share * math.copysign(1.0, velocity) * deflection / limit, -1.0)
     if abs(slides) < NEAR:
         return exponent * share
     if slides >= 1.0:
@@ -219,9 +220,8 @@ def friction(seals, mean_velocity, velocity, p, h):
         # from stiction to Coulomb: else it would drive the piston.
         elastic = 0.0
         if limit >= LEAST_LIMIT:
-            along = math.copysign(1.0, velocity) * after
-            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along
-                          / (reach * limit))
+            along = max(math.copysign(1.0, velocity) * after / (reach * limit), -1.0)
+            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along)
         stiffness = p.friction_presliding_stiffness / (count * reach)
         damping = p.friction_presliding_damping * elastic / (count * reach)
         force += share * stiffness * after + damping * velocity

@@ -274,6 +274,21 @@ def test_dahls_law_with_its_exponent_through_reversals(exponent: float) -> None:
     np.testing.assert_allclose(ours, -friction, atol=0.05)
 
 
+@pytest.mark.parametrize('asymmetry', [0.999999, 1.0])
+@pytest.mark.parametrize('ratio', [1.0, 2.0])
+def test_friction_of_one_direction_keeps_the_force_bounded(asymmetry: float, ratio: float
+                                                           ) -> None:
+    values: dict[str, Value] = {
+        'friction.model': 'full', 'friction.presliding_slip': 1.0,
+        'friction.presliding_exponent': 2.0, 'friction.element_ratio': ratio,
+        'friction.stribeck_velocity': 1e-6, 'friction.presliding_stiffness': 1.5e6,
+        'friction.coulomb_asymmetry': asymmetry, 'friction.coulomb': 17.0, 'load.type': 'spring'}
+    command = np.random.default_rng(2).normal(0.0, 200.0, 3000)
+    friction = simulate(as_record(values), command, 1e-3)
+    without = simulate(as_record(values | {'friction.coulomb': 0.0}), command, 1e-3)
+    assert np.abs(friction.force_n - without.force_n).max() < 200.0
+
+
 def test_elements_of_a_maxwell_slip_slide_one_after_the_other() -> None:
     # Four of Dahl's bristles side by side, each of which slides after twice the way of the last.
     level, stiffness, ratio, peak, frequency = 20.0, 2e5, 2.0, 0.02, 7.0

@@ -53,7 +53,7 @@ def _first_friction(*more: Free, sharp: bool = True,
     without_stiction = {'friction_stribeck_velocity': 1e-6} if sharp else {}   # its least
     return tuple(_form(
         MOVED, Free('friction_coulomb', 0.0, 0.7, (0.02, 0.1, 0.3), 'force', 'N'),
-        _scaled('friction_presliding_stiffness', 0.05, 300.0, (1.0, 10.0, 60.0)), *sliding,
+        _scaled('friction_presliding_stiffness', 0.05, 300.0, (1.0, 20.0)), *sliding,
         _scaled('friction_presliding_damping', 0.0, 4.0, (1.0,)), *more,
         fixed={'friction_model': FULL, 'friction_location': place} | without_stiction | fixed,
         where={'friction_model': OFF})
