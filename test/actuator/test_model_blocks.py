@@ -447,6 +447,16 @@ def test_vibration_below_breakaway_does_not_creep() -> None:
     assert creep(30.0) > 1e-3
 
 
+@pytest.mark.parametrize('changed', [
+    {}, {'friction.softening': 1.0}, {'friction.element_ratio': 2.0},
+    {'friction.softening': 1.0, 'friction.stribeck_velocity': 1e-4}])
+def test_a_piston_that_friction_holds_does_not_creep(changed: dict[str, Value]) -> None:
+    values: dict[str, Value] = {'load.type': 'spring', 'valve_hysteresis.model': 'off'}
+    command = 20.0 * np.minimum(np.arange(3000) / 1000.0, 1.0)
+    position = simulate(as_record(values | changed), command, 1e-3).position_m
+    assert abs(position[-1] - position[-1000]) < 1e-12
+
+
 # --- load
 
 
