@@ -6,6 +6,8 @@ Stribeck curve, or Dahl's law with an exponent) is computed for a given motion; 
 the simulator's are fitted to it, with more and more of its choices. What is left (rms) is the
 least that a diagnosis can reach with that choice.
 
+`slip` alone is a single bristle, from Dupont's law to Dahl's.
+
     python -m bench.friction_laws
 """
 
@@ -46,7 +48,7 @@ SLIP, EXPONENT, RATIO, SOFTENING = ({'friction.presliding_slip': (0.0, 1.0)},
                                     {'friction.presliding_exponent': (0.5, 3.0)},
                                     {'friction.element_ratio': (1.0, 6.0)},
                                     {'friction.softening': (0.0, 1.0)})
-CHOICES: Final = {'as it was: slip': SLIP, 'exponent': EXPONENT, 'elements': SLIP | RATIO,
+CHOICES: Final = {'slip': SLIP, 'exponent': EXPONENT, 'elements': SLIP | RATIO,
                   'softening': SLIP | SOFTENING, 'elements, softening': SLIP | RATIO | SOFTENING}
 STARTS: Final = (0.2, 0.6)   # shares of the range of a choice
 
