@@ -22,7 +22,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_noise_from_fit,
     with_noise_left,
 )
-from asi_analysis.gap.inference.simulated.formulation import in_formulation
+from asi_analysis.gap.inference.simulated.formulation import goal_beside, in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.search import (
@@ -95,7 +95,7 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     pairs: whether pairs of effects are fitted.
     """
     null = with_noise_left(with_noise_from_fit({(): null_fit(group)}))[()]
-    found = with_uneven_delay(with_noise_left(single_effects(null, tick, True)))
+    found = with_uneven_delay(with_noise_left(single_effects(null, tick, _goal)))
     found = _with_pairs(found, tick) if pairs else found
     found = with_fine_substeps(found) if group.channels == ('valve',) else found
     null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
@@ -134,11 +134,24 @@ def _of_effects(found: Mapping[Names, Found], effects: Sequence[Effect]) -> dict
         each.problem.group, effects=tuple(effects)))) for names, each in found.items()}
 
 
-def _mostly_explains(found: Found, null: Found) -> bool:
+def _goal(leader: Found, null: Found) -> float:
     """
-    Return whether a hypothesis explains a group with probable nominal parameters.
+    Return the cost that a fit must reach beside the best one.
 
-    That is: it leaves only noise, or little of what the nominal model leaves beyond noise.
+    If that does not explain the group, another one must leave less, or be what mostly explains it.
     """
+    goal = goal_beside(leader)
+    if _leaves_little(leader, null):
+        return goal
+    return min(goal, max(leader.best.cost, leader.largest_cost + LEFT * null.best.cost))
+
+
+def _leaves_little(found: Found, null: Found) -> bool:
+    """Return whether a fit leaves only noise, or little of what the nominal model leaves."""
     more, before = (np.maximum(each.relative_residual - 1.0, 0.0) for each in (found, null))
-    return bool((more <= LEFT * before).all()) and not found.improbable
+    return bool((more <= LEFT * before).all())
+
+
+def _mostly_explains(found: Found, null: Found) -> bool:
+    """Return whether a hypothesis explains a group with probable nominal parameters."""
+    return _leaves_little(found, null) and not found.improbable

@@ -68,6 +68,9 @@ from asi_analysis.gap.model.group import (
 )
 from asi_analysis.gap.model.simulator import metres_per_newton
 
+# The cost that a fit must reach beside the best one, of the same base, and the nominal model.
+Goal = Callable[[Found, Found], float]
+
 # After the linear screen so many effects are fitted roughly, with so many Jacobians; and so many
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
@@ -168,12 +171,25 @@ def _explained(group: Group, tick: Callable[[], None], alone: bool) -> _Explaine
     return _Explained(weighed._replace(group=replace(laws, hides_effects=hides)), found)
 
 
-def single_effects(null: Found, tick: Callable[[], None], alone: bool,
+def goal_of(alone: bool) -> Goal:
+    """
+    Return the goal of a search.
+
+    alone: as in `explained_by_simulator`; if not, what will leave more than noise is given up.
+    """
+    def goal(leader: Found, null: Found) -> float:
+        most = math.inf if alone or not leader.far else leader.largest_cost
+        return min(goal_beside(leader), most)
+
+    return goal
+
+
+def single_effects(null: Found, tick: Callable[[], None], goal: Goal,
                    only: Sequence[Found] | None = None) -> dict[Names, Found]:
     """
     Return the fits of the nominal model and of single effects.
 
-    alone: as in `explained_by_simulator`; only: what `changed_alone` found, if it was asked.
+    goal: what cannot reach it is given up; only: what `changed_alone` found, if it was asked.
     """
     null.problem.group.scale.update(initial_guesses(null.as_fitted))
     singles: dict[Names, Found] = {}
@@ -181,13 +197,13 @@ def single_effects(null: Found, tick: Callable[[], None], alone: bool,
     if hidden and only is None:
         only = changed_alone(null, tick)
     if only:
-        singles = _around(only, null.at_nominal, null, tick, alone)
+        singles = _around(only, null.at_nominal, null, tick, goal)
     else:
         if not null.unexplained:
-            singles = _extended(null, null, tick, alone)
+            singles = _extended(null, null, tick, goal)
         # Errors of nominal parameters hide an effect: then the screen starts from usual ones.
         if hidden:
-            singles = _best_of(singles, _extended(_beside(null), null, tick, alone))
+            singles = _best_of(singles, _extended(_beside(null), null, tick, goal))
     return {(): _refitted_from_larger(null, list(singles.values()))} | singles
 
 
@@ -235,7 +251,7 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
 
     only: as in `single_effects`; alone: as in `explained_by_simulator`.
     """
-    found = with_uneven_delay(with_noise_left(single_effects(null, tick, alone, only)))
+    found = with_uneven_delay(with_noise_left(single_effects(null, tick, goal_of(alone), only)))
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
     pairs = with_pairs(found, tick, alone)
@@ -260,7 +276,7 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
     if promised < ODDS_AGAINST or not (
             alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
         return found
-    return with_noise_left(_best_of(found, _pairs(found[()], first, tick, alone)))
+    return with_noise_left(_best_of(found, _pairs(found[()], first, tick, goal_of(alone))))
 
 
 def _only_noise_left(found: Mapping[Names, Found]) -> bool:
@@ -268,7 +284,7 @@ def _only_noise_left(found: Mapping[Names, Found]) -> bool:
     return not all(each.unexplained for each in found.values())
 
 
-def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
+def _pairs(null: Found, first: Found, tick: Callable[[], None], goal: Goal
            ) -> dict[Names, Found]:
     """
     Return the fits of pairs that hold the best single effect.
@@ -276,17 +292,17 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], alone: bool
     If the best pair leaves only noise, also of the pairs that hold its second effect: the best
     single effect need not be one of the true two, since it may imitate both.
     """
-    pairs = _with_second(first, tick, alone)
+    pairs = _with_second(first, tick, goal)
     best = min(pairs.values(), key=lambda each: each.best.cost)
     if best.names == first.names or best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
     return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
-                                        alone))
+                                        goal))
 
 
-def _with_second(first: Found, tick: Callable[[], None], alone: bool) -> dict[Names, Found]:
+def _with_second(first: Found, tick: Callable[[], None], goal: Goal) -> dict[Names, Found]:
     """Return a single effect, refitted from its pairs where that helps, and these pairs."""
-    pairs = _extended(_beside(first), first, tick, alone)
+    pairs = _extended(_beside(first), first, tick, goal)
     return {first.names: _refitted_from_larger(first, list(pairs.values()))} | pairs
 
 
@@ -324,15 +340,14 @@ def _refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
     return refitted if refitted.best.cost < base.best.cost - GAIN else base
 
 
-def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
+def _extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal
               ) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect: the best of the linear screen.
 
     base: a fit of the nominal model or of one effect, or the same with the nominal parameter
     values; null: its fit. If that is the base, nothing is fitted unless the screen expects more
-    from an effect than the prior odds against it. alone: as in `explained_by_simulator`; if not,
-    a fit that will leave more than noise is given up.
+    from an effect than the prior odds against it. goal: what cannot reach it is given up.
     """
     problem = base.problem
     if base is null and base.best.cost < ODDS_AGAINST:
@@ -359,11 +374,11 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], alone: bool
         if found.best.cost < math.inf:
             forms.append(found)
         tick()
-    return _around(forms, base, null, tick, alone, screened.slopes)
+    return _around(forms, base, null, tick, goal, screened.slopes)
 
 
 def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], None],
-            alone: bool, at_base: Mapping[str, Array] = NONE) -> dict[Names, Found]:
+            goal: Goal, at_base: Mapping[str, Array] = NONE) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect, from rough fits of it in several forms.
 
@@ -387,9 +402,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
     at_leader: Mapping[str, Array] = columns_of(leader.problem, leader.slopes)
-    goal = goal_beside(leader)
-    if leader.far and not alone:
-        goal = min(goal, leader.largest_cost)
+    most = goal(leader, null)
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -404,13 +417,13 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         if null.may_lack_an_effect and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
         of_effect = freed_fields(form)[1]
-        best = min((most_probable(form.problem, start, goal=goal, known={
+        best = min((most_probable(form.problem, start, goal=most, known={
             field: column for field, column in near.items() if field not in of_effect},
             without=null.best.cost) for start, near in starts), key=lambda best: best.cost)
         found = form._replace(best=best)
         # With a sub-step of its own, the cost of a fit is not yet known.
         own_substep = any(name == 'maximum_substep' for name, _ in form.problem.fixed)
-        return converged(found, goal) if own_substep or _may_count(found, null) else found
+        return converged(found, most) if own_substep or _may_count(found, null) else found
 
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked for form in forms[found.names]
