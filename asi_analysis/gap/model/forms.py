@@ -175,7 +175,8 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),
         # Behind the force sensor.
-        _form(MOVED, Free('load_damping', 0.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m')),
+        *(_form(MOVED, Free(damping, 0.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'))
+          for damping in ('load_damping', 'load_locked_damping')),
     ),
     'backlash': (
         _form(MOVED, _GAP, _CENTRE, fixed={'backlash_location': SPRING_AND_DAMPER}),

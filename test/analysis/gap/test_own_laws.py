@@ -1,5 +1,6 @@
 """A linear nominal model: the simulator's own laws are asked first (own_laws.py)."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,15 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
+from asi_analysis.gap.inference.posterior import Best, Posterior
 from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
+from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
+from asi_analysis.gap.inference.simulated.search import _from_values_of, _special_cases
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.forms import FORMS
 from asi_analysis.gap.model.group import simulator_group
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
@@ -230,3 +235,45 @@ def test_a_fit_with_long_sub_steps_ends_where_one_with_short_ones_does():
             slopes=None)).refined(converged=0.0).best.cost
 
     assert gain(fine) < 0.5 < gain(coarse)
+
+
+def test_friction_behind_the_sensor_of_a_locked_load_is_named():
+    """The damper of the structure takes it up, of which the nominal one has 50 N s/m."""
+    locked = {'load.type': 'locked'}
+    run = recorded(real={**REAL, **locked, 'load.locked_damping': 15000.0})[:1500]
+    diagnosis = diagnose([run], {**TEXTBOOK, **locked})
+    assert diagnosis.verdict == ('viscous_friction',)
+    assert improved_of(diagnosis, TEXTBOOK)['load.locked_damping'] == pytest.approx(15000.0,
+                                                                                   rel=0.1)
+
+
+def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
+    """Stiction that is no larger than Coulomb friction is Coulomb friction in the same form."""
+    friction = {'friction_coulomb': 20.0, 'friction_stiction_push': 20.0,
+                'friction_stiction_pull': 20.0, 'friction_presliding_slip': 0.13,
+                'friction_element_ratio': 1.8, 'friction_presliding_damping': 0.0}
+    run = recorded(friction__model='full', **{
+        name.replace('friction_', 'friction__'): value for name, value in friction.items()})
+    group = simulator_group(simulator_record(REAL), prepare([run[:1500]]), ('force', 'velocity'),
+                            linear=True)
+
+    def at_truth(name, variant):
+        """Return a form of an effect, with the true friction where its parameters are free."""
+        problem = Posterior(group, (*group.nuisance, *variant.free), variant.fixed)
+        theta = np.array([problem.parameter(free).share(friction[free.field])
+                          if free.field in friction else share
+                          for free, share in zip(problem.free, problem.nominal, strict=True)])
+        residual = problem.residual(theta)
+        best = Best(theta, problem.cost(theta, residual), residual)
+        return Found((name,), (variant,), problem, best)
+
+    stiction = at_truth('stiction', next(
+        variant for variant in FORMS['stiction']
+        if {free.field for free in variant.free} >= friction.keys()))
+    forms = [at_truth(name, variant) for name in ('coulomb_friction', 'viscous_friction')
+             for variant in FORMS[name]]
+    special = _special_cases(stiction, forms)
+    assert {each.names for each in special} == {('coulomb_friction',)}
+    # Cylinder or behind the sensor: only in the right place it explains as much.
+    costs = [_from_values_of(stiction, each, math.inf).best.cost for each in special]
+    assert min(costs) < stiction.best.cost + 5.0

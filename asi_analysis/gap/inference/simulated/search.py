@@ -60,7 +60,7 @@ from asi_analysis.gap.inference.simulated.nominal_fit import (
 )
 from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
-from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
@@ -296,8 +296,12 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], goal: Goal
     best = min(pairs.values(), key=lambda each: each.best.cost)
     if best.names == first.names or best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
-    return _best_of(pairs, _with_second(_second_effect_alone(null, first, best), tick,
-                                        goal))
+    second = _alone(null, best, best.variants[-1])
+    pairs = _best_of(pairs, _with_second(second, tick, goal))
+    # Beside the second effect, a third may be the best, or nearly nothing beside it.
+    best = min(pairs.values(), key=lambda each: each.best.cost)
+    return _best_of(pairs, {each.names: each for variant in best.variants[1:]
+                            for each in [_alone(null, best, variant)]})
 
 
 def _with_second(first: Found, tick: Callable[[], None], goal: Goal) -> dict[Names, Found]:
@@ -306,18 +310,18 @@ def _with_second(first: Found, tick: Callable[[], None], goal: Goal) -> dict[Nam
     return {first.names: _refitted_from_larger(first, list(pairs.values()))} | pairs
 
 
-def _second_effect_alone(null: Found, first: Found, pair: Found) -> Found:
-    """Return the fit of the pair's other effect alone, in the form that it has in the pair."""
-    variant, values = pair.variants[-1], pair.problem.record(pair.best.theta)
-    own = {free.field for free in variant.free}
-    fixed = tuple(each for each in pair.problem.fixed
-                  if each not in first.problem.fixed or each in null.problem.fixed)
-    problem = replace(pair.problem, fixed=fixed, free=(
+def _alone(null: Found, found: Found, variant: Variant) -> Found:
+    """Return the fit of one effect of a hypothesis alone, in the form that it has there."""
+    values, own = found.problem.record(found.best.theta), {free.field for free in variant.free}
+    gone = {field for other in found.variants if other != variant for field, _ in other.fixed}
+    fixed = tuple(each for each in found.problem.fixed
+                  if each[0] not in gone or each in (*variant.fixed, *null.problem.fixed))
+    problem = replace(found.problem, fixed=fixed, free=(
         *(free for free in null.problem.free if free.field not in own), *variant.free))
     theta = np.array([problem.parameter(free).share(float(values[free.field]))
                       for free in problem.free])
-    names = tuple(name for name in pair.names if name not in first.names)
-    return converged(Found(names, (variant,), problem, most_probable(problem, theta)))
+    name, = (effect.name for effect in problem.group.effects if variant in effect.variants)
+    return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
 
 
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -410,13 +414,15 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         form = form._replace(problem=replace(
             form.problem, group=leader.problem.group, pool=None))
         shared = [with_values_of(form, leader, names) for names in (fields - own, fields)]
+        of_effect = freed_fields(form)[1]
+        if of_effect & own:   # of the same law, of which the leader may have a special case
+            shared.append(with_values_of(form, leader, freed_fields(form)[0]))
         if all(free.scale == 'nominal' for free in form.variants[-1].free):
             shared.append(with_values_of(form, null, freed_fields(form)[0]))
         starts = [(min(shared, key=form.problem.cost), at_leader)]
         # Where there is much to explain, the leader's parameter values may be a bad start.
         if null.may_lack_an_effect and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
-        of_effect = freed_fields(form)[1]
         best = min((most_probable(form.problem, start, goal=most, known={
             field: column for field, column in near.items() if field not in of_effect},
             without=null.best.cost) for start, near in starts), key=lambda best: best.cost)
@@ -432,15 +438,36 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         known = {(form.names, form.variants) for form in (*remaining, leader)}
         remaining += [form for form in _rivals(base, leader, tick)
                       if (form.names, form.variants) not in known]
-    for found in problem.in_parallel(converged_fit, sorted(remaining, key=is_coarse)):
+    def keep(found: Found) -> None:
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         earlier = fits.get(found.names)
         if (earlier is None or earlier.best is best_forms.get(found.names)
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
+
+    for found in problem.in_parallel(converged_fit, sorted(remaining, key=is_coarse)):
+        keep(found)
         tick()
+    best = min(fits.values(), key=lambda found: found.best.cost)
+    for form in _special_cases(best, remaining):
+        keep(_from_values_of(best, form, most))
     return {names: found for names, found in fits.items() if found.best.cost < math.inf
             and (names == leader.names or _may_count(found, null))}
+
+
+def _special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
+    """Return those forms of other effects that have some of the parameters of a fit's effect."""
+    return [form for form in forms if form.names != found.names
+            and freed_fields(form)[1] < freed_fields(found)[1]
+            and form.variants[:-1] == found.variants[:-1]]
+
+
+def _from_values_of(found: Found, form: Found, goal: float) -> Found:
+    """Return the fit of a form from the values of another fit, corrected as that is."""
+    problem = replace(form.problem, group=found.problem.group)
+    start = with_values_of(form, found, freed_fields(form)[0])
+    return converged(form._replace(problem=problem, best=most_probable(
+        problem, start, goal=goal)), goal)
 
 
 def _may_count(found: Found, null: Found) -> bool:
