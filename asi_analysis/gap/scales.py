@@ -6,6 +6,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.predict import predict
+from asi_analysis.gap.model.simulator import simulated_motion
 from asi_analysis.gap.prepare import Recording
 
 Values = dict[str, float]
@@ -26,12 +27,26 @@ def scales(recordings: Sequence[Recording]) -> Values:
     position = _range([motion.position[motion.pad:-motion.pad] for motion in motions])
     duration = max(recording.fit.size * recording.period_s for recording in recordings)
     return {
-        '': 1.0, 'command': command, 'force': force, 'velocity': velocity, 'position': position,
+        '': 1.0, 'command': command, 'force': force,
         'valve_position': _range([r.valve_position for r in recordings]),
-        'damping': force / velocity, 'damping_quadratic': force / velocity ** 2,
-        'compliance': position / force, 'drift': force / duration,
-        'drift_curve': force / duration ** 2, 'drift_bend': force / duration ** 3,
-    }
+        'drift': force / duration, 'drift_curve': force / duration ** 2,
+        'drift_bend': force / duration ** 3,
+    } | _of_motion(force, velocity, position)
+
+
+def _of_motion(force: float, velocity: float, position: float) -> Values:
+    """Return the units that hold ranges of the motion."""
+    return {'velocity': velocity, 'position': position, 'damping': force / velocity,
+            'damping_quadratic': force / velocity ** 2, 'compliance': position / force}
+
+
+def with_motion(scale: Values, recordings: Sequence[Recording], p: np.void) -> Values:
+    """Return scales with the ranges of the simulator's nominal motion, if none was measured."""
+    if any(r.motion is not None or r.command is None for r in recordings):
+        return scale
+    motions = [simulated_motion(r, p) for r in recordings]
+    velocity, position = (_range([motion[row] for motion in motions]) for row in (1, 2))
+    return scale | _of_motion(scale['force'], velocity, position)
 
 
 def with_valve(scale: Values, recordings: Sequence[Recording], p: np.void) -> Values:

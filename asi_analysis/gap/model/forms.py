@@ -9,6 +9,7 @@ from asi_actuator.model import effects as declared
 from asi_actuator.model.backlash import MASS, SPRING_ALONE, SPRING_AND_DAMPER
 from asi_actuator.model.command_path import EDGE, NEAREST, ZERO
 from asi_actuator.model.friction import BEHIND_SENSOR, CYLINDER
+from asi_actuator.model.load import LOCKED, SPRING
 from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.gap.model.effects import MOTIONS, Effect, Free, Variant
 from asi_common.jit import FULL, LINEAR, OFF
@@ -175,8 +176,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),
         # Behind the force sensor.
-        *(_form(MOVED, Free(damping, 0.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'))
-          for damping in ('load_damping', 'load_locked_damping')),
+        *(_form(MOVED, Free(damping, 0.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'),
+                where={'load_type': load})
+          for damping, load in (('load_damping', SPRING), ('load_locked_damping', LOCKED))),
     ),
     'backlash': (
         _form(MOVED, _GAP, _CENTRE, fixed={'backlash_location': SPRING_AND_DAMPER}),

@@ -18,7 +18,7 @@ from asi_analysis.gap.model.start import (
 )
 from asi_analysis.gap.motion import noise_above
 from asi_analysis.gap.prepare import Recording
-from asi_analysis.gap.scales import scales, with_valve, with_valve_force
+from asi_analysis.gap.scales import scales, with_motion, with_valve, with_valve_force
 from asi_common.jit import FULL, LINEAR
 
 Values = dict[str, float]
@@ -200,13 +200,16 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     """
     own_error, any_error = (LINEAR_ERROR, LINEAR_ERROR) if linear else (
         SIMULATOR_ERROR, MODEL_ERROR)
-    scale = with_valve_force(with_valve(scales(recordings), recordings, nominal), nominal)
-    # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
-    scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
-              'inverse_force': 1.0 / scale['force']}
     count = 1 + max(recording.number for recording in recordings)
     p = for_recordings(with_start_fields(nominal.copy(), recordings), count)
     recordings = [replace(r, valve_estimate=r.valve_position) for r in recordings]
+    scale = with_valve(scales(recordings), recordings, nominal)
+    if 'force' in channels:
+        scale = with_motion(scale, recordings, p)
+    scale = with_valve_force(scale, nominal)
+    # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
+    scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
+              'inverse_force': 1.0 / scale['force']}
     noise = {channel: max(_judged_noise(recording, channel, p) for recording in recordings)
              for channel in channels}
     size = {channel: float(np.mean([np.mean(measured(recording, channel) ** 2)

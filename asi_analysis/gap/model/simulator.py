@@ -43,7 +43,7 @@ from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 from asi_common.record import copy_of, with_fields
 
-# Sub-steps that are tried, the longest first; each has half of the integration error of the one
+# Sub-steps that are tried, the longest first: each has half of the integration error of the one
 # before. Their largest error (rms), as a share of the rms error floor; at the end of a fit.
 SUBSTEPS_S = tuple(5e-4 * 2.0 ** (-0.5 * number) for number in range(8))
 SUBSTEP_ERROR, FINAL_ERROR = 0.2, 0.02
@@ -232,7 +232,7 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
     error: its largest integration error (rms), as a share of the rms error floor.
     """
     exact = _predictions(recordings, channels, p, shortest)
-    for substep in SUBSTEPS_S:
+    for substep in different_substeps(recordings):
         if substep <= shortest:
             break
         found = corrected(recordings, channels, p, substep, exact)
@@ -240,6 +240,13 @@ def with_corrections(recordings: Sequence[Recording], channels: Sequence[str], p
                for each in found for channel in channels):
             return found, substep
     return [replace(recording, corrections={}, cache={}) for recording in recordings], shortest
+
+
+def different_substeps(recordings: Sequence[Recording]) -> list[float]:
+    """Return those of SUBSTEPS_S (s) that cut the recordings' periods into different numbers."""
+    different = {tuple(math.ceil(each.period_s / substep * (1.0 - 1e-12)) for each in recordings):
+                 substep for substep in reversed(SUBSTEPS_S)}
+    return sorted(different.values(), reverse=True)
 
 
 def corrected(recordings: Sequence[Recording], channels: Sequence[str], p: np.void,

@@ -18,7 +18,7 @@ from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
-from asi_analysis.gap.inference.simulated.search import _from_values_of, _special_cases
+from asi_analysis.gap.inference.simulated.special_cases import from_values_of, special_cases
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.forms import FORMS
@@ -237,10 +237,12 @@ def test_a_fit_with_long_sub_steps_ends_where_one_with_short_ones_does():
     assert gain(fine) < 0.5 < gain(coarse)
 
 
-def test_friction_behind_the_sensor_of_a_locked_load_is_named():
-    """The damper of the structure takes it up, of which the nominal one has 50 N s/m."""
+@pytest.mark.parametrize('missing', [(), ('position_m', 'velocity_m_s')])
+def test_friction_behind_the_sensor_of_a_locked_load_is_named(missing):
+    """The damper of the structure takes it up."""
     locked = {'load.type': 'locked'}
     run = recorded(real={**REAL, **locked, 'load.locked_damping': 15000.0})[:1500]
+    run = replace(run, **dict.fromkeys(missing))
     diagnosis = diagnose([run], {**TEXTBOOK, **locked})
     assert diagnosis.verdict == ('viscous_friction',)
     assert improved_of(diagnosis, TEXTBOOK)['load.locked_damping'] == pytest.approx(15000.0,
@@ -272,8 +274,8 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
         if {free.field for free in variant.free} >= friction.keys()))
     forms = [at_truth(name, variant) for name in ('coulomb_friction', 'viscous_friction')
              for variant in FORMS[name]]
-    special = _special_cases(stiction, forms)
+    special = special_cases(stiction, forms)
     assert {each.names for each in special} == {('coulomb_friction',)}
     # Cylinder or behind the sensor: only in the right place it explains as much.
-    costs = [_from_values_of(stiction, each, math.inf).best.cost for each in special]
+    costs = [from_values_of(stiction, each, math.inf).best.cost for each in special]
     assert min(costs) < stiction.best.cost + 5.0

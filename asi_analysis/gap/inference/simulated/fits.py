@@ -18,7 +18,7 @@ from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
-from asi_analysis.gap.model.simulator import FINAL_ERROR, SUBSTEPS_S, with_corrections
+from asi_analysis.gap.model.simulator import FINAL_ERROR, different_substeps, with_corrections
 
 # The integration error of a long sub-step is corrected again after each fit: at most so often, and
 # until that changes the log posterior by less than SETTLED, or by less than a share of what noise
@@ -59,8 +59,9 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     if abs(change) < COST_RANGE + left:
         return found
     group, p = found.problem.group, found.problem.record(found.best.theta)
-    shorter = next((each for each in SUBSTEPS_S if group.exact_substep_s < each
-                    < p['maximum_substep']), group.exact_substep_s)
+    shorter = next((each for each in different_substeps(group.recordings)
+                    if group.exact_substep_s < each < p['maximum_substep']),
+                   group.exact_substep_s)
     problem = replace(found.problem, fixed=(*found.problem.fixed, ('maximum_substep', shorter)))
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(

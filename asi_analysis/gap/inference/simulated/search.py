@@ -59,8 +59,13 @@ from asi_analysis.gap.inference.simulated.nominal_fit import (
     with_start_of_fit,
 )
 from asi_analysis.gap.inference.simulated.screen import Start, screen
+from asi_analysis.gap.inference.simulated.special_cases import (
+    alone_of,
+    from_values_of,
+    special_cases,
+)
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
-from asi_analysis.gap.model.effects import Free, Variant
+from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
     VALVE_GAIN,
@@ -296,32 +301,20 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], goal: Goal
     best = min(pairs.values(), key=lambda each: each.best.cost)
     if best.names == first.names or best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
-    second = _alone(null, best, best.variants[-1])
+    second = alone_of(null, best, best.variants[-1])
     pairs = _best_of(pairs, _with_second(second, tick, goal))
-    # Beside the second effect, a third may be the best, or nearly nothing beside it.
-    best = min(pairs.values(), key=lambda each: each.best.cost)
-    return _best_of(pairs, {each.names: each for variant in best.variants[1:]
-                            for each in [_alone(null, best, variant)]})
+    third = min(pairs.values(), key=lambda each: each.best.cost)
+    if third is best or len(third.names) < 2:
+        return pairs
+    # Beside the second effect a third one is the best, which alone may explain as much.
+    alone = alone_of(null, third, third.variants[-1])
+    return _best_of(pairs, {alone.names: alone})
 
 
 def _with_second(first: Found, tick: Callable[[], None], goal: Goal) -> dict[Names, Found]:
     """Return a single effect, refitted from its pairs where that helps, and these pairs."""
     pairs = _extended(_beside(first), first, tick, goal)
     return {first.names: _refitted_from_larger(first, list(pairs.values()))} | pairs
-
-
-def _alone(null: Found, found: Found, variant: Variant) -> Found:
-    """Return the fit of one effect of a hypothesis alone, in the form that it has there."""
-    values, own = found.problem.record(found.best.theta), {free.field for free in variant.free}
-    gone = {field for other in found.variants if other != variant for field, _ in other.fixed}
-    fixed = tuple(each for each in found.problem.fixed
-                  if each[0] not in gone or each in (*variant.fixed, *null.problem.fixed))
-    problem = replace(found.problem, fixed=fixed, free=(
-        *(free for free in null.problem.free if free.field not in own), *variant.free))
-    theta = np.array([problem.parameter(free).share(float(values[free.field]))
-                      for free in problem.free])
-    name, = (effect.name for effect in problem.group.effects if variant in effect.variants)
-    return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
 
 
 def _best_of(found: Mapping[Names, Found], more: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -449,25 +442,10 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         keep(found)
         tick()
     best = min(fits.values(), key=lambda found: found.best.cost)
-    for form in _special_cases(best, remaining):
-        keep(_from_values_of(best, form, most))
+    for form in special_cases(best, [*rough, *remaining]):
+        keep(from_values_of(best, form, most))
     return {names: found for names, found in fits.items() if found.best.cost < math.inf
             and (names == leader.names or _may_count(found, null))}
-
-
-def _special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
-    """Return those forms of other effects that have some of the parameters of a fit's effect."""
-    return [form for form in forms if form.names != found.names
-            and freed_fields(form)[1] < freed_fields(found)[1]
-            and form.variants[:-1] == found.variants[:-1]]
-
-
-def _from_values_of(found: Found, form: Found, goal: float) -> Found:
-    """Return the fit of a form from the values of another fit, corrected as that is."""
-    problem = replace(form.problem, group=found.problem.group)
-    start = with_values_of(form, found, freed_fields(form)[0])
-    return converged(form._replace(problem=problem, best=most_probable(
-        problem, start, goal=goal)), goal)
 
 
 def _may_count(found: Found, null: Found) -> bool:

@@ -1,0 +1,45 @@
+"""
+Effects that are a special case of another hypothesis, fitted from its values.
+
+Coulomb friction is a special case of stiction, a single effect of a pair. Fitted from elsewhere,
+it may end in a local minimum; then the more general hypothesis would be the more probable one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asi_analysis.gap.inference.posterior import most_probable
+from asi_analysis.gap.inference.simulated.fits import converged, freed_fields, with_values_of
+from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.model.effects import Variant
+
+
+def alone_of(null: Found, found: Found, variant: Variant) -> Found:
+    """Return the fit of one effect of a hypothesis alone, in the form that it has there."""
+    values, own = found.problem.record(found.best.theta), {free.field for free in variant.free}
+    gone = {field for other in found.variants if other != variant for field, _ in other.fixed}
+    fixed = tuple(each for each in found.problem.fixed
+                  if each[0] not in gone or each in (*variant.fixed, *null.problem.fixed))
+    problem = replace(found.problem, fixed=fixed, free=(
+        *(free for free in null.problem.free if free.field not in own), *variant.free))
+    theta = np.array([problem.parameter(free).share(float(values[free.field]))
+                      for free in problem.free])
+    name, = (effect.name for effect in problem.group.effects if variant in effect.variants)
+    return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
+
+
+def special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
+    """Return those forms of other effects that have some of the parameters of a fit's effect."""
+    return list({form.variants: form for form in forms if form.names != found.names
+                 and freed_fields(form)[1] < freed_fields(found)[1]
+                 and form.variants[:-1] == found.variants[:-1]}.values())
+
+
+def from_values_of(found: Found, form: Found, goal: float) -> Found:
+    """Return the fit of a form from the values of another fit, corrected as that is."""
+    problem = replace(form.problem, group=found.problem.group)
+    start = with_values_of(form, found, freed_fields(form)[0])
+    return converged(form._replace(problem=problem, best=most_probable(
+        problem, start, goal=goal)), goal)
