@@ -55,6 +55,10 @@ class _Late(NamedTuple):
     cost: float
 
 
+def _cost(late: _Late) -> float:
+    return late.cost
+
+
 def with_uneven_delay(found: dict[Names, Found]) -> dict[Names, Found]:
     """
     Return hypotheses; where all leave more than noise, that of a delay with an uneven one instead.
@@ -73,11 +77,13 @@ def with_uneven_delay(found: dict[Names, Found]) -> dict[Names, Found]:
     delay = float(start.problem.record(start.best.theta)[COMMAND])
     if delay == 0.0:
         return found
-    best = min((_fitted(start, share * delay) for share in WIDTHS), key=lambda each: each.cost)
+    fits = sorted((_fitted(start, share * delay) for share in WIDTHS), key=_cost)
     even = min(each.best.cost for each in found.values())
-    if not best.cost < even - COST_RANGE:
+    if not fits[0].cost < even - COST_RANGE:
         return found
-    best = _fitted(best.found, _refined_width(best))
+    # Refined with the parameters of a fit, a width may miss the best: hence of two fits.
+    best = min(fits[0], *(_fitted(each.found, _refined_width(each)) for each in fits[:2]),
+               key=_cost)
     explains = not best.found.may_lack_an_effect and _leaves_white_noise(best.found)
     return found | ({(EFFECT,): best.found} if explains else {})
 
