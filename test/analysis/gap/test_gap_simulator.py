@@ -154,6 +154,24 @@ def test_effects_of_a_free_load_are_sought_at_the_size_of_the_valve_force():
         group.scale['force'] / group.scale['velocity'])
 
 
+def test_effects_are_sought_at_the_size_of_a_motion_that_was_not_recorded():
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal)
+    blind = replace(run, position_m=None, velocity_m_s=None)
+    seen, unseen = (simulator_group(simulator.simulator_record(nominal), prepared([each]),
+                                    ('force',)).scale for each in (run, blind))
+    for name in ('velocity', 'position', 'damping', 'compliance'):
+        assert unseen[name] == pytest.approx(seen[name], rel=0.1), name
+
+
+@pytest.mark.parametrize(('period_s', 'counts'), [
+    (1e-3, [2, 3, 4, 6, 8, 12, 16, 23]), (2e-4, [1, 2, 3, 4, 5])])
+def test_no_two_sub_steps_that_are_tried_cut_a_period_alike(period_s, counts):
+    recording = replace(prepared([recorded({}, duration_s=1.2)])[0], period_s=period_s)
+    tried = simulator.different_substeps([recording])
+    assert [math.ceil(period_s / each * (1.0 - 1e-12)) for each in tried] == counts
+
+
 def test_a_longer_sub_step_is_corrected():
     nominal = {'load.type': 'spring'}
     recordings = prepared([recorded(nominal, duration_s=2.0)])
