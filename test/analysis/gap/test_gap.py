@@ -270,7 +270,8 @@ def test_propagated_noise_of_a_lag_is_smaller():
     ({'valve_flexure__delay': 4.003e-3}, 'transport_delay', 'valve_flexure_delay', 4.003e-3),
     ({'valve_hysteresis__model': 'full', 'valve_hysteresis__radius': 60.0,
       'valve_hysteresis__lag_time': 0.0}, 'valve_hysteresis', None, None),
-    ({'force_sensor__offset': 25.0}, 'sensor_offset', 'force_sensor_offset', 25.0),
+    pytest.param({'force_sensor__offset': 25.0}, 'sensor_offset', 'force_sensor_offset', 25.0,
+                 marks=pytest.mark.slow),   # test_free_load_is_explained names one, too
     ({'load__external_force': 40.0}, 'disturbance_force', 'load_external_force', 40.0),
 ])
 def test_effect_is_named(changed, effect, field, value):
