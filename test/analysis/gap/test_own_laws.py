@@ -259,20 +259,21 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
     group = simulator_group(simulator_record(REAL), prepare([run[:1500]]), ('force', 'velocity'),
                             linear=True)
 
-    def at_truth(name, variant):
-        """Return a form of an effect, with the true friction where its parameters are free."""
+    def fitted(name, variant, values):
+        """Return a form of an effect, with given values where its parameters are free."""
         problem = Posterior(group, (*group.nuisance, *variant.free), variant.fixed)
-        theta = np.array([problem.parameter(free).share(friction[free.field])
-                          if free.field in friction else share
+        theta = np.array([problem.parameter(free).share(values[free.field])
+                          if free.field in values else share
                           for free, share in zip(problem.free, problem.nominal, strict=True)])
         residual = problem.residual(theta)
         best = Best(theta, problem.cost(theta, residual), residual)
         return Found((name,), (variant,), problem, best)
 
-    stiction = at_truth('stiction', next(
+    stiction = fitted('stiction', next(
         variant for variant in FORMS['stiction']
-        if {free.field for free in variant.free} >= friction.keys()))
-    forms = [at_truth(name, variant) for name in ('coulomb_friction', 'viscous_friction')
+        if {free.field for free in variant.free} >= friction.keys()), friction)
+    elsewhere = friction | {'friction_coulomb': 200.0, 'friction_presliding_slip': 1.0}
+    forms = [fitted(name, variant, elsewhere) for name in ('coulomb_friction', 'viscous_friction')
              for variant in FORMS[name]]
     special = special_cases(stiction, forms)
     assert {each.names for each in special} == {('coulomb_friction',)}
