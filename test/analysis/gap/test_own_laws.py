@@ -18,7 +18,11 @@ from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
-from asi_analysis.gap.inference.simulated.special_cases import from_values_of, special_cases
+from asi_analysis.gap.inference.simulated.special_cases import (
+    from_values_of,
+    never_slides,
+    special_cases,
+)
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.forms import FORMS
@@ -280,3 +284,10 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
     # Cylinder or behind the sensor: only in the right place it explains as much.
     costs = [from_values_of(stiction, each, math.inf).best.cost for each in special]
     assert min(costs) < stiction.best.cost + 5.0
+    # The piston moves by 8 mm at most: softer seals never slide.
+    assert np.ptp(run.position_m) < 8e-3
+    soft = {'friction_coulomb': 200.0, 'friction_presliding_stiffness': 2e4}
+    variant = next(variant for variant in FORMS['coulomb_friction']
+                   if {free.field for free in variant.free} >= soft.keys())
+    assert [never_slides(fitted('coulomb_friction', variant, values))
+            for values in (soft, soft | {'friction_presliding_stiffness': 1e5})] == [True, False]

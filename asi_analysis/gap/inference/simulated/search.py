@@ -62,6 +62,7 @@ from asi_analysis.gap.inference.simulated.screen import Start, screen
 from asi_analysis.gap.inference.simulated.special_cases import (
     alone_of,
     from_values_of,
+    never_slides,
     special_cases,
 )
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
@@ -445,7 +446,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     for form in special_cases(best, [*rough, *remaining]):
         keep(from_values_of(best, form, most))
     return {names: found for names, found in fits.items() if found.best.cost < math.inf
-            and (names == leader.names or _may_count(found, null))}
+            and (names == leader.names or _may_count(found, null)) and not never_slides(found)}
 
 
 def _may_count(found: Found, null: Found) -> bool:

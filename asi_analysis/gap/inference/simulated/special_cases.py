@@ -1,8 +1,9 @@
 """
-Effects that are a special case of another hypothesis, fitted from its values.
+Effects that are a special case of another hypothesis, fitted from its values; no friction at all.
 
 Coulomb friction is a special case of stiction, a single effect of a pair. Fitted from elsewhere,
 it may end in a local minimum; then the more general hypothesis would be the more probable one.
+Friction whose seals are too soft to slide is a spring, which imitates other effects.
 """
 
 from collections.abc import Sequence
@@ -10,10 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from asi_actuator.model.friction import held_friction
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged, freed_fields, with_values_of
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.start import actuator_of
 
 
 def alone_of(null: Found, found: Found, variant: Variant) -> Found:
@@ -43,3 +46,14 @@ def from_values_of(found: Found, form: Found, goal: float) -> Found:
     start = with_values_of(form, found, freed_fields(form)[0])
     return converged(form._replace(problem=problem, best=most_probable(
         problem, start, goal=goal)), goal)
+
+
+def never_slides(found: Found) -> bool:
+    """Return whether the seals of a free friction are too soft to slide in a direction."""
+    _, own = freed_fields(found)
+    if not {'friction_coulomb', 'friction_presliding_stiffness'} <= own:
+        return False
+    p = found.problem.record(found.best.theta)
+    held = max(held_friction(forward, actuator_of(p)) for forward in (True, False))
+    return bool(held > 2.0 * found.problem.group.scale['position']
+                * p['friction_presliding_stiffness'])
