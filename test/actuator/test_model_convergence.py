@@ -230,6 +230,7 @@ for values in (
 """
 
 
+@pytest.mark.slow
 def test_hard_driven_loop_does_not_depend_on_where_newtons_rule_stops() -> None:
     differences = subprocess.run(
         [sys.executable, '-c', HARD_LOOP], env=os.environ | {'NUMBA_DISABLE_JIT': '1'},

@@ -118,6 +118,7 @@ def rectified(seed: int) -> Run:
                information={'signals': {'command': 'A', 'position': 'm'}})
 
 
+@pytest.mark.slow
 def test_a_model_that_explains_nothing_of_the_healthy_machine_finds_no_change_for_sure():
     """The lead screws of the public recordings: whatever changed was "no gap", 1.00."""
     answer = asked(rectified(3), rectified(1), rectified(2))

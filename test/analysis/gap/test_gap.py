@@ -287,6 +287,7 @@ def test_effect_is_named(changed, effect, field, value):
     assert answer['gap']['shrink_low'] <= answer['gap']['shrink'] <= answer['gap']['shrink_high']
 
 
+@pytest.mark.slow
 def test_warming_sensor_is_drift_without_offset():
     run = recorded()[:2000]
     warm = 80.0 * (1.0 - np.exp(-run.time_s))

@@ -141,7 +141,8 @@ def test_effect_of_the_valve_is_found_without_its_position():
 
 
 @pytest.mark.parametrize(('bias', 'seed', 'first'), [
-    (8e-8, 7, 900), pytest.param(-6e-8, 1, 950, marks=pytest.mark.slow)])
+    pytest.param(8e-8, 7, 900, marks=pytest.mark.slow),
+    pytest.param(-6e-8, 1, 950, marks=pytest.mark.slow)])
 def test_a_force_below_the_noise_that_held_the_load_before_is_no_origin_of_the_position(
         bias, seed, first):
     """The position is not counted from there: it tells a bias of the valve from a sensor's."""

@@ -209,6 +209,7 @@ def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
     assert answer['nuisance']['load']['load_mass'] == pytest.approx(INERTIA, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_load_that_rattles_is_judged_below_its_impacts():
     """Above, small errors of its motion decide when it touches, and no fit explains the force."""
     course = WITH_RESTS[:TIME_S.size // 2]

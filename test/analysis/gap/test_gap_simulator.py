@@ -369,6 +369,7 @@ def test_a_fit_that_leaves_nothing_has_an_interval(monkeypatch):
     assert low < found.values['valve_flexure_delay'] < high < 1.001 * low
 
 
+@pytest.mark.slow
 def test_other_laws_keep_their_model_error_in_a_quiet_recording():
     """Their error floor is not what the best hypothesis leaves; else the data were ignored."""
     nominal = {'load.type': 'spring'}
@@ -701,6 +702,7 @@ def test_what_follows_a_valve_that_is_not_explained_is_not_judged_by_the_simulat
     assert groups_of(monkeypatch, (None, False), ((90.0, 80.0), False)) == [None, None]
 
 
+@pytest.mark.slow
 def test_a_gain_of_the_valve_is_told_though_what_follows_is_answered_by_blocks(monkeypatch):
     explained = search._explained
     monkeypatch.setattr(search, '_explained', lambda group, *rest: (

@@ -47,6 +47,7 @@ def test_small_effect_is_found_beside_parameters_that_are_off(changed, effect):
     assert diagnose([run], TEXTBOOK, simulate=False).verdict == ()
 
 
+@pytest.mark.slow
 def test_lag_of_two_poles_and_a_bias_are_no_delay():
     diagnosis = diagnose([recorded(
         valve_flexure__lag_time=0.007, valve_flexure__second_lag_time=0.003,
@@ -57,7 +58,8 @@ def test_lag_of_two_poles_and_a_bias_are_no_delay():
     assert poles == pytest.approx([0.003, 0.007], rel=0.15)
 
 
-@pytest.mark.parametrize('spread', [0.0004, 0.0012])
+@pytest.mark.parametrize('spread', [
+    pytest.param(0.0004, marks=pytest.mark.slow), 0.0012])
 def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
     """It leaves up to five times the noise, which a constant delay does not explain."""
     diagnosis = diagnose([recorded(command_path__delay=0.004,
@@ -86,7 +88,8 @@ def test_an_uneven_delay_of_the_nominal_model_stays_in_the_improved_one():
     assert improved_model(nominal, [given])[0] == nominal | {'force_sensor.offset': 3.0}
 
 
-@pytest.mark.parametrize('more', [{}, {'valve_flexure__bias': 40.0}])
+@pytest.mark.parametrize('more', [
+    {}, pytest.param({'valve_flexure__bias': 40.0}, marks=pytest.mark.slow)])
 def test_a_constant_delay_is_not_called_uneven(more):
     diagnosis = diagnose([recorded(command_path__delay=0.004, **more)], TEXTBOOK)
     assert 'transport_delay' in diagnosis.verdict
@@ -105,7 +108,8 @@ def test_what_an_uneven_delay_does_not_explain_is_no_delay():
     assert max(diagnosis.joined.values()) < 0.9
 
 
-@pytest.mark.parametrize('spread', [0.0008, 0.0031])
+@pytest.mark.parametrize('spread', [
+    0.0008, pytest.param(0.0031, marks=pytest.mark.slow)])
 def test_errors_of_an_uneven_delay_are_made_white(monkeypatch, spread):
     """Mean and covariance are those of many runs of the simulator; better with finer cuts."""
     time = np.arange(1200) * 1e-3
@@ -133,6 +137,7 @@ def test_errors_of_an_uneven_delay_are_made_white(monkeypatch, spread):
     assert variance().min() > coarse.min() + 0.1
 
 
+@pytest.mark.slow
 def test_a_supply_that_sags_may_have_been_in_use_before_the_recording():
     """It is not in steady state at the mean opening of the valve."""
     run = recorded(valve_characteristic__supply_sag=0.9,
@@ -191,6 +196,7 @@ def test_gain_of_the_valve_goes_with_its_opening():
         assert np.std(getattr(again, name) - real) < 0.03 * np.std(real)
 
 
+@pytest.mark.slow
 def test_unknown_gap_adds_no_improbable_effect():
     run = recorded()[:3000]
     uneven = 8.0 * np.sign(np.sin(2.0 * np.pi * run.position_m / 1e-3))
@@ -241,7 +247,8 @@ def test_a_fit_with_long_sub_steps_ends_where_one_with_short_ones_does():
     assert gain(fine) < 0.5 < gain(coarse)
 
 
-@pytest.mark.parametrize('missing', [(), ('position_m', 'velocity_m_s')])
+@pytest.mark.parametrize('missing', [
+    pytest.param((), marks=pytest.mark.slow), ('position_m', 'velocity_m_s')])
 def test_friction_behind_the_sensor_of_a_locked_load_is_named(missing):
     """The damper of the structure takes it up."""
     locked = {'load.type': 'locked'}
