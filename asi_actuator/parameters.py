@@ -162,8 +162,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               'Growth of that scale with the size of the valve opening', 0.0, 10.0,
               source=FITTED),
     Parameter('hydraulic_damping.tail', 0.0, '',
-              'How slowly it saturates; -1: error function, 0: tanh, 1: x / sqrt(1 + x^2)',
-              -1.0, 1.0),
+              'How slowly it saturates; -1: error function, 0: tanh, 1: x / sqrt(1 + x^2), '
+              '2: arc tangent', -1.0, 2.0),
     Parameter('hydraulic_damping.viscous', 78.03, 'N s/m', 'Damping that is linear in velocity',
               0.0, 1e6, source=FITTED),
     Parameter('hydraulic_damping.quadratic', 0.0, 'N s2/m2',

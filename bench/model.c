@@ -198,7 +198,11 @@ static inline double saturation(double x, double tail, double *slope)
 {
     double bounded = fast_tanh(x);
     *slope = 1.0 - bounded * bounded;
-    if (tail > 0.0) {
+    if (tail > 1.0) {
+        double root = 1.0 / sqrt(1.0 + x * x), along = 0.5 * M_PI * x;
+        bounded = (2.0 - tail) * x * root + (tail - 1.0) * atan(along) * 2.0 / M_PI;
+        *slope = (2.0 - tail) * root * root * root + (tail - 1.0) / (1.0 + along * along);
+    } else if (tail > 0.0) {
         double root = 1.0 / sqrt(1.0 + x * x);
         bounded += tail * (x * root - bounded);
         *slope += tail * (root * root * root - *slope);

@@ -577,7 +577,9 @@ def test_linear_block_is_its_gain_and_a_block_that_is_off_passes(block: str) -> 
 
 @pytest.mark.parametrize(('tail', 'expected'), [
     (-1.0, lambda x: math.erf(0.5 * math.sqrt(math.pi) * x)), (0.0, math.tanh),
-    (1.0, lambda x: x / math.hypot(1.0, x)), (-0.3, None), (0.6, None)])
+    (1.0, lambda x: x / math.hypot(1.0, x)),
+    (2.0, lambda x: 2.0 / math.pi * math.atan(0.5 * math.pi * x)),
+    (-0.3, None), (0.6, None), (1.4, None)])
 def test_damping_saturates_as_several_books_have_it(tail, expected):
     """Always monotonically, at -1 and 1, with slope 1 at 0."""
     x = np.linspace(-6.0, 6.0, 2401)

@@ -244,10 +244,16 @@ UNCERTAIN = {
 SHAPES = {
     'valve': (Free('valve_hysteresis_rounding', 0.0, 1.0, (0.0,)),
               Free('valve_hysteresis_lagged', 0.0, 1.0, (0.0,))),
-    'force': (Free('hydraulic_damping_tail', -1.0, 1.0, (0.0,)),
+    'force': (Free('hydraulic_damping_tail', -1.0, 2.0, (0.0,)),
               Free('friction_presliding_slip', 0.0, 1.0, (0.0,)),
               Free('friction_presliding_damping', 0.0, 4.0, (1.0,), 'nominal'),
               Free('friction_stribeck_velocity', 0.2, 5.0, (1.0,), 'nominal')),
+}
+# Further shapes of friction, free once no hypothesis explains a machine by the laws above: they
+# take twice the time.
+OTHER_SHAPES = {
+    'force': (Free('friction_element_ratio', 1.0, 6.0, (1.0, 1.6)),
+              Free('friction_softening', 0.0, 1.0, (0.0, 1.0))),
 }
 assert {free.field for effect in EFFECTS for variant in effect.variants
         for free in variant.free} <= set(ACTUATOR_DTYPE.names or ())

@@ -112,6 +112,7 @@ class Group:
     # Free shape parameters of the simulator's laws, and the same, held near to its own shapes.
     shapes: tuple[Free, ...] = ()
     usual_shapes: tuple[Free, ...] = ()
+    other_shapes: tuple[Free, ...] = ()   # free as well if the laws are formulated in another way
     passes: int = 0    # of the input of a static characteristic, in one direction
 
     @property
@@ -240,7 +241,8 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     return Group(p, recordings, channels, nuisance, scale, noise, error_floor,
                  dict.fromkeys(channels, 0.0), effects, exact_substep_s=exact,
                  judged_share=judged_share, weight=dict.fromkeys(channels, 1.0),
-                 other_error=other_error, shapes=tuple(shapes.values()), usual_shapes=usual)
+                 other_error=other_error, shapes=tuple(shapes.values()), usual_shapes=usual,
+                 other_shapes=_shapes(forms.OTHER_SHAPES, kinds, nominal))
 
 
 def with_tolerances(group: Group, own: Mapping[str, float]) -> Group:

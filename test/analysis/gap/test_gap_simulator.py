@@ -30,6 +30,7 @@ from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_val
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
+from asi_analysis.gap.inference.simulated.formulation import in_formulation
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
@@ -260,6 +261,19 @@ def null_behind_valve(run, nominal):
     valve = null_fit(simulator_group(p, recordings, ('valve',)))
     return null_fit(with_simulated_valve(
         simulator_group(p, recordings, CHANNELS), valve.as_fitted.record))
+
+
+def test_seals_in_parallel_that_soften_are_friction_of_another_form():
+    """With further shapes of friction, all parameters are as probable as they usually are."""
+    nominal = {'load.type': 'spring', 'friction.element_ratio': 1.0}
+    run = recorded({'load.type': 'spring', 'friction.element_ratio': 1.8,
+                    'friction.softening': 1.0}, noise=0.3, duration_s=1.0)
+    null = null_behind_valve(run, nominal)
+    other = in_formulation({(): null}, True)[()]
+    assert null.unexplained and null.prior_cost > 30.0
+    assert not other.unexplained and other.prior_cost < 10.0
+    improved = improved_model(nominal, [other.as_fitted.record])[0]
+    assert improved['friction.element_ratio'] > 1.2 and improved['friction.softening'] > 0.2
 
 
 def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
+from asi_analysis.gap.inference.simulated.own_laws import _goal
 from asi_analysis.gap.inference.simulated.special_cases import (
     from_values_of,
     never_slides,
@@ -298,3 +300,16 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
                    if {free.field for free in variant.free} >= soft.keys())
     assert [never_slides(fitted('coulomb_friction', variant, values))
             for values in (soft, soft | {'friction_presliding_stiffness': 1e5})] == [True, False]
+
+
+def test_beside_an_improbable_best_fit_what_mostly_explains_is_fitted_to_the_end():
+    """If the best fit is probable, what is far above it cannot be the answer."""
+    def leaving(residual, cost, improbable=False):
+        return SimpleNamespace(
+            relative_residual=np.array([residual]), improbable=improbable, largest_cost=1e3,
+            best=SimpleNamespace(cost=cost), problem=SimpleNamespace(noise_cost=9e2))
+
+    null = leaving(1e3, 1e6)
+    probable, improbable = (_goal(leaving(1.0, 9e2, each), null) for each in (False, True))
+    assert probable < 1e3 and improbable == pytest.approx(5.1e4)
+    assert _goal(leaving(90.0, 9e4), null) == pytest.approx(9e4)   # it must leave less

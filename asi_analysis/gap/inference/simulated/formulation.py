@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -66,7 +67,23 @@ def _with_formulation(found: Found, other: bool) -> Found:
     """
     group = with_formulation(found.problem.group, other)
     free = with_tolerance_of_formulation(found.problem.free, found.problem.group, group)
-    return found.weighed_as(replace(found.problem, group=group, free=free))
+    moved = found.weighed_as(replace(found.problem, group=group, free=free))
+    return _with_other_shapes(moved) if group.other_formulation else moved
+
+
+def _with_other_shapes(found: Found) -> Found:
+    """Return a hypothesis in which further shapes of the laws are free, at their best start."""
+    problem, best = found.problem, found.best
+    known = {free.field for free in problem.free} | dict(problem.fixed).keys()
+    more = [free for free in problem.group.other_shapes if free.field not in known]
+    if not more:
+        return found
+    problem = replace(problem, free=(*problem.free, *more))
+    begun = (np.append(best.theta, [problem.parameter(free).share(value) for free, value
+                                    in zip(more, values, strict=True)])
+             for values in product(*(free.starts for free in more)))
+    return found._replace(problem=problem, best=best._replace(slopes=None)).at(
+        min(begun, key=problem.cost))
 
 
 def in_formulation(found: Mapping[Names, Found], other: bool,

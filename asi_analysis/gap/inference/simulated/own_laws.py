@@ -138,12 +138,14 @@ def _goal(leader: Found, null: Found) -> float:
     """
     Return the cost that a fit must reach beside the best one.
 
-    If that does not explain the group, another one must leave less, or be what mostly explains it.
+    If that does not explain the group, another one must leave less, or be what mostly explains it;
+    if it does so only with improbable parameters, that is enough.
     """
     goal = goal_beside(leader)
+    explaining = max(leader.best.cost, leader.largest_cost + LEFT * null.best.cost)
     if _leaves_little(leader, null):
-        return goal
-    return min(goal, max(leader.best.cost, leader.largest_cost + LEFT * null.best.cost))
+        return max(goal, explaining) if leader.improbable else goal
+    return min(goal, explaining)
 
 
 def _leaves_little(found: Found, null: Found) -> bool:
