@@ -43,7 +43,7 @@ WITHHELD: Final[dict[str, Value]] = {
     'valve_characteristic.deadband': 1e-6,
     'valve_characteristic.bias': -5e-7, 'valve_characteristic.flow_limit': 800.0,
     'valve_characteristic.supply_drop': 0.1, 'valve_characteristic.supply_sag': 0.2,
-    'hydraulic_damping.tail': 0.4, 'hydraulic_damping.quadratic': 50.0,
+    'hydraulic_damping.tail': 1.4, 'hydraulic_damping.quadratic': 50.0,
     'hydraulic_damping.opening_viscous': 80.0,
     'fluid_dynamics.leakage': 0.1, 'fluid_dynamics.leakage_growth': 1e-4,
     'fluid_dynamics.air_time': 0.001, 'friction.coulomb_asymmetry': 0.3, 'friction.viscous': 40.0,

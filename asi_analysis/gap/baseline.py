@@ -180,8 +180,11 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
             nominal[name] = healthy.fitted.record[field]
     simulated = isinstance(healthy.fitted.problem, Posterior)
     # Shapes of the laws that have a range of their own, and may be 0, stay free in it.
-    spread = healthy.spread.keys() - {free.field for free in group.shapes if not free.scale}
-    kept = [free for free in group.nuisance if free.field.partition('@')[0] not in spread]
+    other = [free for free in group.other_shapes if free.field in healthy.spread]
+    spread = healthy.spread.keys() - {free.field for free in (*group.shapes, *other)
+                                      if not free.scale}
+    kept = [free for free in (*group.nuisance, *other)
+            if free.field.partition('@')[0] not in spread]
     known = [_free(name, healthy.spread[field], simulated)
              for name in nominal.dtype.names or ()
              if (field := name.partition('@')[0]) in spread

@@ -91,5 +91,6 @@ def model_error(group: Group) -> Array:
 def with_usual_shapes(group: Group, frees: Sequence[Free]) -> tuple[Free, ...]:
     """Return free parameters with the simulator's own shapes of the laws, or near to them."""
     usual = {free.field: free for free in group.usual_shapes}
-    return tuple(usual.get(free.field, free) if free in group.shapes else free for free in frees
-                 if free not in group.shapes or free.field in usual)
+    shapes = (*group.shapes, *group.other_shapes)
+    return tuple(usual.get(free.field, free) if free in shapes else free for free in frees
+                 if free not in shapes or free.field in usual)

@@ -20,6 +20,7 @@ from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.actuator import actuator_groups
+from asi_analysis.gap.baseline import against, healthy_of
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
@@ -38,6 +39,7 @@ from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.effects import without_prior
+from asi_analysis.gap.model.forms import OTHER_SHAPES
 from asi_analysis.gap.model.group import (
     LEAST_ERROR,
     prepared_for,
@@ -274,6 +276,12 @@ def test_seals_in_parallel_that_soften_are_friction_of_another_form():
     assert not other.unexplained and other.prior_cost < 10.0
     improved = improved_model(nominal, [other.as_fitted.record])[0]
     assert improved['friction.element_ratio'] > 1.2 and improved['friction.softening'] > 0.2
+    # Of a healthy machine they stay shapes of the law: no other value of one is a cause.
+    healthy = {CHANNELS: healthy_of(other.as_fitted, 0.2, {})}
+    group = against(null.problem.group, healthy)
+    assert {*OTHER_SHAPES['force']} <= {*group.nuisance}
+    assert group.nominal['friction_element_ratio'] == pytest.approx(
+        improved['friction.element_ratio'])
 
 
 def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():

@@ -34,6 +34,7 @@ from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.simulator import has_linear_laws, simulator_record
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.sampling import whitened_by
+from asi_common.jit import FULL
 
 
 @pytest.mark.parametrize(('changed', 'effect'), [
@@ -293,13 +294,32 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
     # Cylinder or behind the sensor: only in the right place it explains as much.
     costs = [from_values_of(stiction, each, math.inf).best.cost for each in special]
     assert min(costs) < stiction.best.cost + 5.0
-    # The piston moves by 8 mm at most: softer seals never slide.
-    assert np.ptp(run.position_m) < 8e-3
-    soft = {'friction_coulomb': 200.0, 'friction_presliding_stiffness': 2e4}
-    variant = next(variant for variant in FORMS['coulomb_friction']
-                   if {free.field for free in variant.free} >= soft.keys())
-    assert [never_slides(fitted('coulomb_friction', variant, values))
-            for values in (soft, soft | {'friction_presliding_stiffness': 1e5})] == [True, False]
+
+
+def test_friction_that_hardly_slides_is_a_spring():
+    """By Dahl's law all of the motion slides a little; elements slide one after the other."""
+    run = recorded()[:3000]
+    assert 1.5e-3 < np.abs(run.position_m).max() < 1.9e-3
+
+    group = simulator_group(simulator_record(REAL), prepare([run]), ('force', 'velocity'),
+                            linear=True)
+
+    def is_spring(stiffness, **more):
+        values = {'friction_model': FULL, 'friction_coulomb': 200.0,
+                  'friction_presliding_stiffness': stiffness, **more}
+        p = group.nominal.copy()
+        for name, value in values.items():
+            p[name] = value
+        free = FORMS['coulomb_friction'][2].free
+        found = SimpleNamespace(variants=[SimpleNamespace(free=free)], best=SimpleNamespace(
+            theta=None), problem=SimpleNamespace(group=group, record=lambda _: p))
+        return never_slides(found)
+
+    dahl, elements = {'friction_presliding_slip': 1.0}, {'friction_element_ratio': 3.0}
+    assert [is_spring(2e3, **dahl), is_spring(1.5e4, **dahl)] == [True, False]
+    assert [is_spring(5e4), is_spring(5e4, **elements), is_spring(2e5)] == [True, False, False]
+    # With more friction in one direction than in the other.
+    assert is_spring(1.5e4, friction_coulomb_asymmetry=0.8, **dahl)
 
 
 def test_beside_an_improbable_best_fit_what_mostly_explains_is_fitted_to_the_end():

@@ -167,7 +167,8 @@ def with_noise_from_fit(found: Mapping[Names, Found],
 def _with_nominal(found: Found) -> tuple[Found, Found]:
     """Return a fit, and that at nominal values, which it may have left for a larger noise."""
     problem, (_, precision) = found.problem, found.problem.prior
-    shapes = [free in problem.group.shapes for free in problem.free]
+    group = problem.group
+    shapes = [free in (*group.shapes, *group.other_shapes) for free in problem.free]
     theta = np.where((precision > 0.0) | shapes, problem.nominal, found.best.theta)
     group = recorrected(problem.group, problem.record(theta))
     return found, found._replace(problem=replace(problem, group=group),

@@ -78,7 +78,8 @@ def _with_other_shapes(found: Found) -> Found:
     more = [free for free in problem.group.other_shapes if free.field not in known]
     if not more:
         return found
-    problem = replace(problem, free=(*problem.free, *more))
+    problem = replace(problem, free=(*problem.free, *more), group=replace(
+        problem.group, nuisance=(*problem.group.nuisance, *more)))
     begun = (np.append(best.theta, [problem.parameter(free).share(value) for free, value
                                     in zip(more, values, strict=True)])
              for values in product(*(free.starts for free in more)))

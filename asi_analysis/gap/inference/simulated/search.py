@@ -395,6 +395,9 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         return {}
     ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
     leader = converged(ranked[0].refined(2 * ROUNDS))
+    if never_slides(leader):
+        return _around([form for form in rough if form is not ranked[0]], base, null, tick, goal,
+                       at_base)
     best_forms = {names: found.best for names, found in fits.items()}
     fits[leader.names] = leader
     fields, own = freed_fields(leader)
@@ -440,6 +443,8 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     def keep(found: Found) -> None:
         # A rough fit was not corrected for the integration error: its cost is not comparable.
         earlier = fits.get(found.names)
+        if never_slides(found):
+            return
         if (earlier is None or earlier.best is best_forms.get(found.names)
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))

@@ -11,12 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from asi_actuator.model.friction import held_friction
+from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged, freed_fields, with_values_of
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.start import actuator_of
+
+LITTLE = 0.1   # share of a motion that slides, below which a friction is a spring
 
 
 def alone_of(null: Found, found: Found, variant: Variant) -> Found:
@@ -49,11 +51,17 @@ def from_values_of(found: Found, form: Found, goal: float) -> Found:
 
 
 def never_slides(found: Found) -> bool:
-    """Return whether the seals of a free friction are too soft to slide in a direction."""
-    _, own = freed_fields(found)
+    """
+    Return whether the seals of a free friction are too soft to slide in a direction.
+
+    That is: where the piston has moved by half of its range, hardly any of the motion slides.
+    """
+    own = {free.field for variant in found.variants for free in variant.free}
     if not {'friction_coulomb', 'friction_presliding_stiffness'} <= own:
         return False
-    p = found.problem.record(found.best.theta)
-    held = max(held_friction(forward, actuator_of(p)) for forward in (True, False))
-    return bool(held > 2.0 * found.problem.group.scale['position']
-                * p['friction_presliding_stiffness'])
+    p = actuator_of(found.problem.record(found.best.theta))
+    _, reach = elements(p)
+    moved = found.problem.group.scale['position']
+    held = max(held_friction(forward, p) for forward in (True, False))
+    limit = reach * held / p['friction_presliding_stiffness']
+    return bool(moved < limit and sliding(moved, 1.0, limit, p) * moved / limit < LITTLE)
