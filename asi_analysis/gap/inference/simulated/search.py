@@ -429,14 +429,16 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         own_substep = any(name == 'maximum_substep' for name, _ in form.problem.fixed)
         return converged(found, most) if own_substep or _may_count(found, null) else found
 
-    # Of recordings far from explained, a rough fit was made to the end on a part: it is known well
-    # enough which are hopeless, even beside the best one.
+    # Of recordings far from explained, a rough fit was made to the end on a part. So it is known
+    # well enough which are hopeless beside the best one, and which forms are if that is hopeless.
+    hopeless = leader.best.cost > FAR * most
     least = FAR * max(most, leader.best.cost) if problem.is_far(base.best.cost) else math.inf
     # The slowest fits first, so that no core is idle at the end.
-    remaining = [form for found in ranked for form in forms[found.names]
+    remaining = [form for found in ranked
+                 for form in ([found] if hopeless else forms[found.names])
                  if form is not ranked[0] and form.best.cost <= least]
     # Of the nominal model, the first screen was already made at fitted parameters.
-    if base is not null and leader.best.cost <= FAR * most:
+    if base is not null and not hopeless:
         known = {(form.names, form.variants) for form in (*remaining, leader)}
         remaining += [form for form in _rivals(base, leader, tick)
                       if (form.names, form.variants) not in known]
