@@ -209,7 +209,7 @@ class Best(NamedTuple):
 def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
                   known: Mapping[str, Array] = NONE, goal: float = math.inf,
                   converged: float = CONVERGED, near: Best | None = None,
-                  without: float = math.inf) -> Best:
+                  without: float = math.inf, beside: float = math.inf) -> Best:
     """
     Return the most probable parameters, from a start, as `_maximised` does.
 
@@ -224,7 +224,8 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
             point, known, near = there, NONE, None
         if found.cost > goal:
             return Best(point.theta, point.cost, point.residual)
-    return _maximised(problem, point.theta, rounds, known, goal, converged, near, without)
+    return _maximised(problem, point.theta, rounds, known, goal, converged, near, without,
+                      beside)
 
 
 def of_first_part(problem: Posterior, start: Array, goal: float = math.inf) -> Best:
@@ -252,7 +253,7 @@ def of_first_part(problem: Posterior, start: Array, goal: float = math.inf) -> B
 def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
                known: Mapping[str, Array] = NONE, goal: float = math.inf,
                converged: float = CONVERGED, near: Best | None = None,
-               without: float = math.inf) -> Best:
+               without: float = math.inf, beside: float = math.inf) -> Best:
     """
     Return the most probable parameters, from a start.
 
@@ -267,7 +268,7 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
     converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
     same problem whose Jacobian is used at first; without: the cost of the fit without the last
     effect. A fit that ends within SLIGHT of it with the `known` Jacobian, which promises no more,
-    is given up.
+    is given up. beside: the cost of a better fit; what costs more is found roughly.
     """
     at, damping = _Point.of(problem, start), DAMPING
     if near is None or near.slopes is None:
@@ -287,7 +288,7 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
         if there is not None:
             slopes, at = linear.updated(there), there
         steps += tried
-        enough = GAIN + converged * before
+        enough = GAIN + converged * before + ROUGHLY * max(before - beside, 0.0)
         ends = fresh and before - at.cost <= enough
         if not ends and before - at.cost > GAIN and steps < MOST_STEPS * at.theta.size and (
                 steps * _log_ratio(before, at.cost) > tried * _log_ratio(since, at.cost)):
@@ -301,7 +302,7 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
         if ends and rounds > 0:
             scanned = min((_Point.of(problem, theta) for theta in _scanned_memories(
                 problem, at.theta)), default=at, key=lambda point: point.cost)
-            if at.cost - scanned.cost > GAIN + converged * at.cost:
+            if at.cost - scanned.cost > enough:
                 at, ends = scanned, False
         if rounds < 1 or ends or (computed and at.cost - rounds * (since - at.cost) > goal):
             return at.best(slopes, computed)

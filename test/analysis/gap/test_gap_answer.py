@@ -82,7 +82,7 @@ def test_parameter_at_the_limit_of_its_tolerance_is_said():
 def test_parameter_beyond_its_tolerance_is_an_answer(times, sure):
     """At the edge other parameters and a sensor's gain do the same; they share the probability."""
     stiff = {**TEXTBOOK, 'load.stiffness': 2e5 * times}
-    answer = plain(document(diagnose([recorded(real=stiff)[:3000]], TEXTBOOK)))
+    answer = plain(document(diagnose([recorded(real=stiff)[:1500]], TEXTBOOK)))
     name = 'parameter:load.stiffness'
     assert name in answer['ambiguity_set']
     row = next(row for row in answer['which'] if row['effect'] == name)
@@ -147,7 +147,7 @@ def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, 
 
 def test_model_is_what_the_bag_tells_unless_another_is_given():
     recorded_values = {**TEXTBOOK, 'load.stiffness': 2.2e5}
-    run = dataclasses.replace(recorded()[:3000], information={'actuator': recorded_values})
+    run = dataclasses.replace(recorded()[:1500], information={'actuator': recorded_values})
     assert recorded_model([run]) == recorded_values
     told = 'recorded with the load spring, .* has the load locked'
     with pytest.warns(InputWarning, match=told):
@@ -168,7 +168,7 @@ def test_force_of_a_spring_is_not_that_of_a_free_load():
 
 
 def test_setting_overrides_what_the_bag_tells():
-    run = dataclasses.replace(recorded(), information={'actuator': TEXTBOOK})
+    run = dataclasses.replace(recorded()[:1500], information={'actuator': TEXTBOOK})
     answer = asi_diagnose([run], settings=['load.stiffness=220000.0'])
     assert answer['verdict'] == 'no_gap'
     assert answer.model == {**TEXTBOOK, 'load.stiffness': 2.2e5}
@@ -177,7 +177,7 @@ def test_setting_overrides_what_the_bag_tells():
 
 
 def test_effects_of_the_nominal_model_are_said_to_be_approximate():
-    run = dataclasses.replace(recorded()[:3000], information={'actuator': TEXTBOOK})
+    run = dataclasses.replace(recorded()[:1000], information={'actuator': TEXTBOOK})
     # A hysteresis without width: its law could be formulated in another way than the simulator's.
     notes = asi_diagnose([run], settings=['load.external_force=1.0', 'valve_hysteresis.model=full',
                                           'valve_hysteresis.radius=0.0'])['notes']

@@ -69,7 +69,7 @@ def test_second_recording_may_have_another_phase_of_a_disturbance():
 
 
 def test_second_recording_may_have_another_offset():
-    runs = [recorded(seed=seed, force_sensor__offset=offset)[:2000]
+    runs = [recorded(seed=seed, force_sensor__offset=offset)[:1000]
             for seed, offset in ((5, 40.0), (6, -25.0))]
     answer = document(diagnose(runs, TEXTBOOK))
     assert answer['verdict'] == 'sensor_offset'

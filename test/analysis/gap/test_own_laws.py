@@ -160,7 +160,7 @@ def test_two_effects_behind_the_valve_of_a_linear_machine_are_both_named():
 
 
 def test_what_no_law_explains_is_unknown():
-    run = recorded()[:3000]
+    run = recorded()[:1500]
     ripple = 6.0 * np.sin(2.0 * np.pi * run.position_m / 3e-4)
     assert diagnose([replace(run, force_n=run.force_n + ripple)],
                     TEXTBOOK).verdict == ('unknown',)
@@ -183,7 +183,7 @@ def test_improved_model_of_friction_is_the_machine(damping):
     """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
     run = recorded(friction__model='full', friction__coulomb=20.0, friction__stiction_push=20.0,
                    friction__stiction_pull=20.0, friction__presliding_damping=damping,
-                   valve_characteristic__maximum_force=1100.0)[:3000]
+                   valve_characteristic__maximum_force=1100.0)[:1500]
     diagnosis = diagnose([run], TEXTBOOK)
     assert diagnosis.verdict == ('coulomb_friction',)
     again = simulate(as_record(improved_of(diagnosis, TEXTBOOK)), run.command_n, run.period_s)
@@ -210,7 +210,7 @@ def test_unknown_gap_adds_no_improbable_effect():
 
 def test_free_load_is_explained():
     free = {'load.type': 'free'}
-    run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)[:3000]
+    run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)[:1500]
     assert diagnose([run], {**TEXTBOOK, **free}).verdict == ('sensor_offset',)
 
 

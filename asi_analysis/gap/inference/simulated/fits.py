@@ -10,6 +10,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.coloured_noise import with_coloured_noise
 from asi_analysis.gap.inference.posterior import (
     LIGHT_ROUNDS,
+    ROUGHLY,
     Posterior,
     mean_squares,
     most_probable,
@@ -29,13 +30,14 @@ CORRECTIONS, SETTLED, SETTLED_SHARE = 4, 2.0, 0.01
 LIGHTER, LEAST_SHARE = 0.125, 1e-6
 
 
-def converged(found: Found, goal: float = math.inf) -> Found:
+def converged(found: Found, goal: float = math.inf, beside: float = math.inf) -> Found:
     """
     Return a fit that shorter sub-steps of the simulation would not change.
 
     The integration error of the sub-step is corrected at the fitted parameters, again after each
     fit, and the best fit is kept. If that does not converge, a shorter sub-step is used. goal: a
-    negative log posterior; a fit that cannot reach it is given up.
+    negative log posterior; a fit that cannot reach it is given up. beside: that of a better fit;
+    what costs more is found roughly.
     """
     known: list[Found] = []
     change, left = 0.0, 0.0
@@ -49,10 +51,12 @@ def converged(found: Found, goal: float = math.inf) -> Found:
         change = 0.5 * float(residual @ residual - best.residual @ best.residual)
         known.append(found._replace(problem=problem, best=best._replace(
             cost=best.cost + change, residual=residual)))
-        left = SETTLED_SHARE * max(known[-1].best.cost - found.largest_cost, 0.0)
+        cost = known[-1].best.cost
+        left = (SETTLED_SHARE * max(cost - found.largest_cost, 0.0)
+                + ROUGHLY * max(cost - beside, 0.0))
         if abs(change) < SETTLED + left or len(known) == CORRECTIONS:
             break
-        found = known[-1].refined(goal=goal)
+        found = known[-1].refined(goal=goal, beside=beside)
     if not known:
         return found
     found = min(known, key=lambda each: each.best.cost)
@@ -65,7 +69,7 @@ def converged(found: Found, goal: float = math.inf) -> Found:
     problem = replace(found.problem, fixed=(*found.problem.fixed, ('maximum_substep', shorter)))
     problem = replace(problem, group=recorrected(group, problem.record(found.best.theta)))
     return converged(found._replace(problem=problem, best=most_probable(
-        problem, found.best.theta, goal=goal)), goal)
+        problem, found.best.theta, goal=goal, beside=beside)), goal, beside)
 
 
 def with_fine_substeps(found: Mapping[Names, Found]) -> dict[Names, Found]:

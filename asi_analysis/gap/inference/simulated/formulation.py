@@ -97,13 +97,11 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
         if other:
-            null = moved[()]
-            enough = np.ones(len(null.problem.group.channels)) if (
-                null.problem.group.may_differ) else equal_below(
-                    min(moved.values(), key=lambda each: each.best.cost))
-            null = moved[()] = null.refined(
-                goal=FAR * float(enough.max()) * null.problem.noise_cost)
-            if (plain := _sufficient(null, enough)) is not None:
+            group = moved[()].problem.group
+            enough = np.ones(len(group.channels)) if group.may_differ else equal_below(
+                min(moved.values(), key=lambda each: each.best.cost))
+            moved[()], plain = _sufficient(moved[()], enough)
+            if plain is not None:
                 return {(): plain}
         moved = _refitted(moved)
     if not other:
@@ -116,18 +114,25 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             for names, each in moved.items()}
 
 
-def _sufficient(null: Found, enough: Array) -> Found | None:
+def suffices(null: Found) -> bool:
+    """Return whether the nominal model suffices, if its laws are formulated in another way."""
+    group = null.problem.group
+    return group.may_differ and not group.floor_measured and _sufficient(
+        _with_formulation(null, True), np.ones(len(group.channels)))[1] is not None
+
+
+def _sufficient(null: Found, enough: Array) -> tuple[Found, Found | None]:
     """
-    Return the fit of the nominal model if no effect can have evidence beside it.
+    Return the nominal model, refitted; and its fit if no effect can have evidence beside it.
 
     That is so if it leaves as little as is no evidence, with probable parameters; perhaps they are
     so only nearer to the nominal values. enough: that mean square by channel, in error floors.
     """
+    null = null.refined(goal=FAR * float(enough.max()) * null.problem.noise_cost)
     if (mean_squares(null.problem, null.best.residual) > enough).any():
-        return None
-    if null.prior_cost > SUSPECT_PRIOR_COST:
-        null = _nearest_to_nominal(null, enough)
-    return null if null.prior_cost <= SUSPECT_PRIOR_COST else None
+        return null, None
+    near = null if null.prior_cost <= SUSPECT_PRIOR_COST else _nearest_to_nominal(null, enough)
+    return null, near if near.prior_cost <= SUSPECT_PRIOR_COST else None
 
 
 def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -137,7 +142,8 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
     goal = goal_beside(leader)
 
     def refit(each: Found) -> Found:
-        alone = each._replace(problem=replace(each.problem, pool=None)).refined(goal=goal)
+        alone = each._replace(problem=replace(each.problem, pool=None)).refined(
+            goal=goal, beside=leader.best.cost + COST_RANGE)
         return alone._replace(problem=each.problem)
 
     others = {names: each for names, each in found.items() if names != first}

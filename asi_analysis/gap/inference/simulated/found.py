@@ -60,11 +60,11 @@ class Found(NamedTuple):
         return moved._replace(best=moved.best._replace(slopes=slopes, fresh=self.best.fresh))
 
     def refined(self, rounds: int = ROUNDS, goal: float = math.inf,
-                converged: float = CONVERGED) -> 'Found':
+                converged: float = CONVERGED, beside: float = math.inf) -> 'Found':
         """Return the hypothesis with its fit continued, as `most_probable` does."""
         return self._replace(best=most_probable(
             self.problem, self.best.theta, rounds, goal=goal, converged=converged,
-            near=self.best))
+            near=self.best, beside=beside))
 
     def lighter(self, share: float, rounds: int = ROUNDS) -> 'Found':
         """Return the hypothesis, refitted with this share of the weight of its data."""

@@ -33,6 +33,14 @@ class Start(NamedTuple):
     variant: Variant
     problem: Posterior
     theta: Array
+    null: Array   # the parameters without the effect
+    amount: float = 1.0   # multiple of the guess that the screen expects
+
+    @property
+    def nearest(self) -> Array:
+        """Return the parameters at the guess, or at its expected multiple if that costs less."""
+        other = np.clip(self.null + self.amount * (self.theta - self.null), 0.0, 1.0)
+        return min(self.theta, other, key=self.problem.cost)
 
 
 def _starts(base: Found, small: bool) -> list[Start]:
@@ -60,11 +68,12 @@ def _starts(base: Found, small: bool) -> list[Start]:
                 (('maximum_substep', shorter),) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
                                          *variant.free), fixed, pool=problem.pool)
+            null = np.array([
+                shares[f.field] if f.field not in own else
+                float(np.clip(extended.parameter(f).share(float(values[f.field])), 0.0, 1.0))
+                for f in extended.free])
             if own <= shares.keys():   # parameters of the base itself, as fitted
-                work.append(Start(effect.name, variant, extended, np.array([
-                    shares[f.field] if f.field not in own else
-                    float(np.clip(extended.parameter(f).share(float(values[f.field])), 0.0, 1.0))
-                    for f in extended.free])))
+                work.append(Start(effect.name, variant, extended, null, null))
             for varied in variant.free:   # each in turn at all its starts, the others at the first
                 if len(varied.starts) == 1 and varied is not variant.free[0]:
                     continue
@@ -74,7 +83,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
                         shares[f.field] if f.field not in own else
                         extended.start(f, start if f is varied else f.starts[0])
                         for f in extended.free])
-                    work.append(Start(effect.name, variant, extended, theta))
+                    work.append(Start(effect.name, variant, extended, theta, null))
     return work
 
 
@@ -107,31 +116,31 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     slope = slopes.T @ residual + precision * (theta - mean)
     count = theta.size
 
-    def gain(start: Start) -> tuple[float, float]:
+    def gain(start: Start) -> tuple[float, float, float]:
         # With all other parameters free, and with none. If the gap is large, the first is too
-        # optimistic: linearised, the other parameters seem to explain much.
+        # optimistic: linearised, the other parameters seem to explain much. And the best multiple.
         own = {free.field for free in start.variant.free}
         change = start.problem.residual(start.theta) - residual
         # Some effects replace a free parameter.
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]
         if not np.isfinite(change).all() or (len(keep) + len(own) > count and not change.any()):
-            return -math.inf, -math.inf
+            return -math.inf, -math.inf, 1.0
         if not change.any():   # it replaces parameters by themselves, without their priors
             held = np.zeros(count)
             held[keep] = precision[keep]
             return least_step(of_data + np.diag(held), slope - (precision - held) * (theta - mean),
-                              -theta, 1.0 - theta)[1], -math.inf
+                              -theta, 1.0 - theta)[1], -math.inf, 1.0
         size, along = float(change @ change), float(residual @ change)
         whole = np.empty((count + 1, count + 1))
         whole[:count, :count] = square
         whole[count, :count] = whole[:count, count] = slopes.T @ change
         whole[count, count] = size
         keep.append(count)
-        _, free = least_step(whole[np.ix_(keep, keep)], np.append(slope, along)[keep],
-                             np.append(-theta, 0.0)[keep],
-                             np.append(1.0 - theta, LARGEST_AMOUNT)[keep])
+        step, free = least_step(whole[np.ix_(keep, keep)], np.append(slope, along)[keep],
+                                np.append(-theta, 0.0)[keep],
+                                np.append(1.0 - theta, LARGEST_AMOUNT)[keep])
         amount = min(max(-along / size, 0.0), LARGEST_AMOUNT)
-        return free, -amount * along - 0.5 * amount ** 2 * size
+        return free, -amount * along - 0.5 * amount ** 2 * size, float(step[-1])
 
     starts, gains = _starts(base, small), []
     for n, value in enumerate(problem.in_parallel(gain, starts)):
@@ -139,6 +148,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
         if n % 10 == 0:
             tick()
     ranks = (sorted(range(len(starts)), key=lambda n: -gains[n][kind]) for kind in (0, 1))
-    ranked = [starts[n] for both in zip(*ranks, strict=True) for n in both]
-    return Screened(ranked, max(first for first, _ in gains), {
+    ranked = [starts[n]._replace(amount=gains[n][2])
+              for both in zip(*ranks, strict=True) for n in both]
+    return Screened(ranked, max(free for free, *_ in gains), {
         free.field: column for free, column in zip(problem.free, slopes.T, strict=True)})

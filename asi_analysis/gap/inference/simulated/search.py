@@ -51,6 +51,7 @@ from asi_analysis.gap.inference.simulated.formulation import (
     goal_beside,
     in_best_formulation,
     in_formulation,
+    suffices,
 )
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import (
@@ -261,6 +262,8 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     found = with_uneven_delay(with_noise_left(single_effects(null, tick, goal_of(alone), only)))
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
+    elif suffices(found[()]):   # beside it, no pair would have evidence
+        return found
     pairs = with_pairs(found, tick, alone)
     if pairs is found or not (alone or _only_noise_left(pairs)):
         return pairs
@@ -364,7 +367,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal
                       start.problem, base.best._replace(slopes=None))
         if far:   # the first part of the recordings shows well enough which effect it is
             return begun.at(of_first_part(single, start.theta).theta)
-        best = most_probable(single, start.theta, ROUGH_ROUNDS, {
+        best = most_probable(single, start.nearest, ROUGH_ROUNDS, {
             field: column for field, column in screened.slopes.items() if field not in own})
         return begun._replace(best=best._replace(slopes=None))
 
@@ -404,7 +407,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
     at_leader: Mapping[str, Array] = columns_of(leader.problem, leader.slopes)
-    most = goal(leader, null)
+    most, beside = goal(leader, null), leader.best.cost + COST_RANGE
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -421,13 +424,17 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         # Where there is much to explain, the leader's parameter values may be a bad start.
         if null.may_lack_an_effect and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
-        best = min((most_probable(form.problem, start, goal=most, known={
-            field: column for field, column in near.items() if field not in of_effect},
-            without=null.best.cost) for start, near in starts), key=lambda best: best.cost)
+        best = form.best._replace(cost=math.inf)
+        for start, near in starts:
+            known = {field: column for field, column in near.items() if field not in of_effect}
+            again = most_probable(form.problem, start, goal=min(most, best.cost), known=known,
+                                  without=null.best.cost, beside=beside)
+            best = min(best, again, key=lambda best: best.cost)
         found = form._replace(best=best)
         # With a sub-step of its own, the cost of a fit is not yet known.
         own_substep = any(name == 'maximum_substep' for name, _ in form.problem.fixed)
-        return converged(found, most) if own_substep or _may_count(found, null) else found
+        return (converged(found, most, beside) if own_substep or _may_count(found, null)
+                else found)
 
     # Of recordings far from explained, a rough fit was made to the end on a part. So it is known
     # well enough which are hopeless beside the best one, and which forms are if that is hopeless.
@@ -439,7 +446,8 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                  if form is not ranked[0] and form.best.cost <= least]
     # Of the nominal model, the first screen was already made at fitted parameters.
     if base is not null and not hopeless:
-        known = {(form.names, form.variants) for form in (*remaining, leader)}
+        known = {(form.names, form.variants) for form in (*remaining, leader, *(
+            form for form in rough if form.best.cost > least))}
         remaining += [form for form in _rivals(base, leader, tick)
                       if (form.names, form.variants) not in known]
     def keep(found: Found) -> None:
@@ -485,6 +493,8 @@ def _rivals(base: Found, leader: Found, tick: Callable[[], None]) -> list[Found]
     residual = problem.residual(theta)
     without = base._replace(problem=problem, best=Best(
         theta, problem.cost(theta, residual), residual))
+    starts = screen(without, False, tick).best(RIVALS)
+    thetas = problem.in_parallel(lambda start: start.nearest, starts)
     return [Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
-                  start.problem, Best(start.theta, math.inf, residual))
-            for start in screen(without, False, tick).best(RIVALS)]
+                  start.problem, Best(theta, math.inf, residual))
+            for start, theta in zip(starts, thetas, strict=True)]
