@@ -265,7 +265,7 @@ def null_behind_valve(run, nominal):
         simulator_group(p, recordings, CHANNELS), valve.as_fitted.record))
 
 
-def test_seals_in_parallel_that_soften_are_friction_of_another_form():
+def test_seals_in_parallel_that_soften_are_friction_of_another_form(monkeypatch):
     """With further shapes of friction, all parameters are as probable as they usually are."""
     nominal = {'load.type': 'spring', 'friction.element_ratio': 1.0}
     run = recorded({'load.type': 'spring', 'friction.element_ratio': 1.8,
@@ -276,6 +276,14 @@ def test_seals_in_parallel_that_soften_are_friction_of_another_form():
     assert not other.unexplained and other.prior_cost < 10.0
     improved = improved_model(nominal, [other.as_fitted.record])[0]
     assert improved['friction.element_ratio'] > 1.2 and improved['friction.softening'] > 0.2
+    # So no pair is fitted, but beside a gap of which friction is not the cause.
+    offset = null_behind_valve(replace(run, force_n=run.force_n + 40.0), nominal)
+    pairs = []
+    monkeypatch.setattr(search, 'with_pairs', lambda found, *_: pairs.append(found) or found)
+    for each, count in (null, 0), (offset, 1):
+        monkeypatch.setattr(search, 'single_effects', lambda *_, each=each: {(): each})
+        search._hypotheses(each, None, lambda: None, False)
+        assert len(pairs) == count
     # Of a healthy machine they stay shapes of the law: no other value of one is a cause.
     healthy = {CHANNELS: healthy_of(other.as_fitted, 0.2, {})}
     group = against(null.problem.group, healthy)
@@ -531,6 +539,37 @@ class Valley(Posterior):
 def test_a_fit_follows_a_narrow_winding_valley():
     best = most_probable(Valley(), np.array([0.1, 0.2, 0.8]), rounds=40)
     assert best.cost < 1.0 and best.theta[0] == pytest.approx(0.9, abs=0.02)
+
+
+def test_a_fit_that_costs_far_more_than_a_better_one_is_found_roughly(monkeypatch):
+    """Wherever it lies in the valley, much is left."""
+    counted, residual = [], Valley.residual
+    monkeypatch.setattr(Valley, 'residual', lambda self, theta: (
+        counted.append(1), residual(self, theta) + [0.0, 0.0, 300.0])[1])
+
+    def fit(beside):
+        counted.clear()
+        best = most_probable(Valley(), np.array([0.1, 0.2, 0.8]), rounds=40, beside=beside)
+        return best.cost, len(counted)
+
+    (cost, count), rough = fit(math.inf), fit(0.0)
+    assert fit(1e9) == (cost, count)
+    assert cost < rough[0] < 1.05 * cost and rough[1] < 0.7 * count
+
+
+def test_a_rival_begins_at_the_size_that_the_screen_expects():
+    """An offset is linear: its best size is found without a fit."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'force_sensor.offset': 1.5}, duration_s=1.5)
+    null = null_behind_valve(run, nominal).at_nominal
+    start, = (start for start in screen(null, False, lambda: None).best(30)
+              if start.name == 'sensor_offset')
+    offset, = (start.problem.record(theta)['force_sensor_offset'] for theta in (start.nearest,))
+    guess = start.problem.record(start.theta)['force_sensor_offset']
+    assert offset == pytest.approx(1.5, abs=0.3) and abs(guess - 1.5) > 1.0
+    assert start.problem.cost(start.nearest) < start.problem.cost(start.theta)
+    # A guess that costs less than its multiple is kept.
+    assert (start._replace(amount=1e3).nearest == start.theta).all()
 
 
 def test_a_fit_that_begins_far_is_made_on_the_first_part_before():
