@@ -38,9 +38,10 @@ from asi_common.jit import FULL
 
 
 @pytest.mark.parametrize(('changed', 'effect'), [
-    ({'valve_hysteresis__model': 'full', 'valve_hysteresis__radius': 4.0,
-      'valve_hysteresis__lag_time': 0.0, 'valve_hysteresis__rounding': 0.5,
-      'valve_hysteresis__saturation': 1e6}, 'valve_hysteresis'),
+    pytest.param({'valve_hysteresis__model': 'full', 'valve_hysteresis__radius': 4.0,
+                  'valve_hysteresis__lag_time': 0.0, 'valve_hysteresis__rounding': 0.5,
+                  'valve_hysteresis__saturation': 1e6}, 'valve_hysteresis',
+                 marks=pytest.mark.slow),
     ({'fluid_dynamics__air_time': 3e-4, 'fluid_dynamics__air_force': 200.0}, 'entrained_air'),
 ])
 def test_small_effect_is_found_beside_parameters_that_are_off(changed, effect):

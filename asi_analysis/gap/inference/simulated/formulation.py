@@ -8,11 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.formulation import (
-    with_formulation,
-    with_tolerance_of_formulation,
-    with_usual_shapes,
-)
+from asi_analysis.gap.formulation import with_formulation, with_usual_shapes
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import FAR, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
@@ -61,13 +57,12 @@ def _explains_with_one(found: Found) -> bool:
 
 def _with_formulation(found: Found, other: bool) -> Found:
     """
-    Return a hypothesis, not refitted, with the error floor and tolerances of its formulation.
+    Return a hypothesis, not refitted, with the error floor of its formulation.
 
     other: whether the laws are formulated in another way than the simulator's.
     """
     group = with_formulation(found.problem.group, other)
-    free = with_tolerance_of_formulation(found.problem.free, found.problem.group, group)
-    moved = found.weighed_as(replace(found.problem, group=group, free=free))
+    moved = found.weighed_as(replace(found.problem, group=group))
     return _with_other_shapes(moved) if group.other_formulation else moved
 
 
@@ -114,11 +109,12 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             for names, each in moved.items()}
 
 
-def suffices(null: Found) -> bool:
-    """Return whether the nominal model suffices, if its laws are formulated in another way."""
+def sufficient(null: Found) -> Found | None:
+    """Return the nominal model with laws formulated in another way, refitted, if it suffices."""
     group = null.problem.group
-    return group.may_differ and not group.floor_measured and _sufficient(
-        _with_formulation(null, True), np.ones(len(group.channels)))[1] is not None
+    if not group.may_differ or group.floor_measured:
+        return None
+    return _sufficient(_with_formulation(null, True), np.ones(len(group.channels)))[1]
 
 
 def _sufficient(null: Found, enough: Array) -> tuple[Found, Found | None]:

@@ -19,7 +19,8 @@ from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.group import channels_of
 
-LARGEST_AMOUNT = 3.0   # largest multiple of an effect's initial guess
+# Largest multiple of an effect's initial guess; the least one that a fit can begin with.
+LARGEST_AMOUNT, LEAST_AMOUNT = 3.0, 0.01
 # Parameters of contacts and couplings. If the nominal model explains the signals, such an effect
 # is small: then only the first of their initial guesses, the smallest effects, are screened.
 STIFF, SMALL_STARTS = {'backlash_gap', 'coupling_stiffness'}, 2
@@ -140,7 +141,8 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
                                 np.append(-theta, 0.0)[keep],
                                 np.append(1.0 - theta, LARGEST_AMOUNT)[keep])
         amount = min(max(-along / size, 0.0), LARGEST_AMOUNT)
-        return free, -amount * along - 0.5 * amount ** 2 * size, float(step[-1])
+        multiple = next((each for each in (float(step[-1]), amount) if each > LEAST_AMOUNT), 1.0)
+        return free, -amount * along - 0.5 * amount ** 2 * size, multiple
 
     starts, gains = _starts(base, small), []
     for n, value in enumerate(problem.in_parallel(gain, starts)):

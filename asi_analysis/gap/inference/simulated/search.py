@@ -51,7 +51,7 @@ from asi_analysis.gap.inference.simulated.formulation import (
     goal_beside,
     in_best_formulation,
     in_formulation,
-    suffices,
+    sufficient,
 )
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.inference.simulated.nominal_fit import (
@@ -262,8 +262,8 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
     found = with_uneven_delay(with_noise_left(single_effects(null, tick, goal_of(alone), only)))
     if alone or _only_noise_left(found):
         found = in_best_formulation(with_noise_from_fit(found))
-    elif suffices(found[()]):   # beside it, no pair would have evidence
-        return found
+    elif (plain := sufficient(found[()])) is not None:   # beside it, nothing has evidence
+        return {(): plain}
     pairs = with_pairs(found, tick, alone)
     if pairs is found or not (alone or _only_noise_left(pairs)):
         return pairs
