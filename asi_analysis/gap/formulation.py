@@ -1,5 +1,5 @@
 """
-Model error of a machine whose laws may not be formulated as the simulator's.
+Model error and tolerances of a machine whose laws may not be formulated as the simulator's.
 
 Textbooks formulate friction, hysteresis and damping in several ways. With another formulation a
 model error remains, and a nominal parameter has a slightly different meaning.
@@ -17,6 +17,7 @@ from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import NOISIER, Group, Values, least_error
 from asi_common.record import field_name
 
+TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
 BLOCKS = {field_name(parameter.name): parameter.name.partition('.')[0]
           for parameter in ACTUATOR_PARAMETERS}
 MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
@@ -24,10 +25,10 @@ MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channe
 
 def with_formulation(group: Group, other: bool) -> Group:
     """
-    Return a group with the error floor of the simulator's own laws, or of others.
+    Return a group with the error floor and tolerances of the simulator's own laws, or of others.
 
     other: the laws are formulated in another way. Then the error floor holds a model error, which
-    has a small effective sample size.
+    has a small effective sample size, and the nominal parameters have wider tolerances.
     """
     if group.other_formulation == other or group.floor_measured:
         return group
@@ -38,7 +39,8 @@ def with_formulation(group: Group, other: bool) -> Group:
         count = sum(int(r.known.sum()) for r in group.recordings) * group.judged_share[channel]
         model = 1.0 - noise ** 2 / floor[channel]
         weight[channel] = 1.0 / (1.0 + count * model / MODEL_SAMPLES) if other else 1.0
-    return replace(group, other_formulation=other, error_floor=floor, weight=weight)
+    moved = replace(group, other_formulation=other, error_floor=floor, weight=weight)
+    return replace(moved, nuisance=with_tolerance_of_formulation(group.nuisance, group, moved))
 
 
 def with_lower_floor(group: Group, residual: Values) -> Group:
@@ -59,6 +61,19 @@ def with_lower_floor(group: Group, residual: Values) -> Group:
         return group
     return replace(group, error_floor=floor, noise={
         channel: min(level, math.sqrt(floor[channel])) for channel, level in group.noise.items()})
+
+
+def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: Group
+                            ) -> tuple[Free, ...]:
+    """
+    Return free parameters with their tolerance after a change of the group's formulation.
+
+    Only the parameters of the laws that have several formulations mean something else in another.
+    """
+    wider = TOLERANCE_FACTOR if after.may_differ else 1.0
+    ratio = wider ** (after.other_formulation - before.other_formulation)
+    return tuple(free._replace(prior=ratio * free.prior) if is_of_law(free, after) else free
+                 for free in frees)
 
 
 def is_of_law(free: Free, group: Group) -> bool:

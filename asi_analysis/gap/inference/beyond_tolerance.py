@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from asi_analysis.gap.formulation import is_of_law
+from asi_analysis.gap.formulation import TOLERANCE_FACTOR, is_of_law
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, fitted, most_probable
 from asi_analysis.gap.inference.probability import Names
@@ -17,9 +17,9 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 # Probability that the laws are the simulator's own, if the noise would hide another formulation.
 # With others, a value just beyond the tolerance may be due to them.
 OWN_LAWS = 0.6
-# A parameter within EDGE tolerances is at the edge. AT_EDGE: the probability that it is meant, and
-# not other ones, or a gain of the sensor, within their own.
-EDGE, AT_EDGE = 1.5, 0.4
+# Probability that a parameter at the edge, within TOLERANCE_FACTOR tolerances, is meant, and not
+# other ones, or a gain of the sensor, within their own.
+AT_EDGE = 0.4
 
 
 def with_parameters_named(weighed: Weighed) -> Weighed:
@@ -42,7 +42,7 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
         if not more:
             continue
         share = OWN_LAWS if group.may_differ and not shown else 1.0
-        if more != _beyond(weighed, names, EDGE):
+        if more != _beyond(weighed, names, TOLERANCE_FACTOR):
             share = AT_EDGE
         if len(more) > MOST_PARAMETERS:
             if names:

@@ -289,8 +289,6 @@ def test_seals_in_parallel_that_soften_are_friction_of_another_form(monkeypatch)
     group = null.problem.group   # with a baseline, the model error is measured
     assert sufficient(null._replace(problem=replace(null.problem, group=replace(
         group, floor_measured=True)))) is None
-    assert [free.prior for free in with_formulation(group, True).nuisance] == [
-        free.prior for free in group.nuisance]
     # Of a healthy machine they stay shapes of the law: no other value of one is a cause.
     healthy = {CHANNELS: healthy_of(other.as_fitted, 0.2, {})}
     group = against(null.problem.group, healthy)
@@ -419,6 +417,18 @@ def test_other_laws_keep_their_model_error_in_a_quiet_recording():
     assert with_lower_floor(other, {'valve': 0.0}) is other
     lower = with_lower_floor(group, {'valve': 1e-6 * group.error_floor['valve']})
     assert lower.error_floor['valve'] == pytest.approx(1e-6 * group.error_floor['valve'])
+
+
+def test_only_parameters_of_laws_of_several_forms_have_wider_tolerances_in_another_one():
+    """A mass or a gain is the same whatever the law of the friction."""
+    group = simulator_group(simulator.simulator_record({'load.type': 'spring'}),
+                            prepared([recorded({'load.type': 'spring'})]), CHANNELS)
+    other = {free.field: free.prior for free in with_formulation(group, True).nuisance}
+    ratio = {free.field: other[free.field] / free.prior for free in group.nuisance
+             if free.prior < math.inf and free.scale == 'nominal'}
+    wider = {field for field, value in ratio.items() if value > 1.0}
+    assert {field.partition('_')[0] for field in wider} == {'friction', 'hydraulic'}
+    assert ratio['load_mass'] == ratio['force_sensor_gain'] == 1.0
 
 
 def test_an_effect_is_as_sure_beside_another_shape_of_the_laws():

@@ -8,7 +8,11 @@ from types import MappingProxyType
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.formulation import with_formulation, with_usual_shapes
+from asi_analysis.gap.formulation import (
+    with_formulation,
+    with_tolerance_of_formulation,
+    with_usual_shapes,
+)
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import FAR, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
@@ -57,12 +61,13 @@ def _explains_with_one(found: Found) -> bool:
 
 def _with_formulation(found: Found, other: bool) -> Found:
     """
-    Return a hypothesis, not refitted, with the error floor of its formulation.
+    Return a hypothesis, not refitted, with the error floor and tolerances of its formulation.
 
     other: whether the laws are formulated in another way than the simulator's.
     """
     group = with_formulation(found.problem.group, other)
-    moved = found.weighed_as(replace(found.problem, group=group))
+    free = with_tolerance_of_formulation(found.problem.free, found.problem.group, group)
+    moved = found.weighed_as(replace(found.problem, group=group, free=free))
     return _with_other_shapes(moved) if group.other_formulation else moved
 
 
