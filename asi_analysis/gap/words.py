@@ -276,11 +276,9 @@ def _error(answer: Mapping[str, Any]) -> str:
     signal = gap['signal'].replace('_', ' ')
     if answer['verdict'] == NO_GAP:
         return (f'The error of the {signal} is {before} of the signal (rms), and {refitted} with '
-                f'the nominal model refitted; the noise alone is {noise}.')
-    found = '' if answer['verdict'] == UNKNOWN else f', and {after} with what was found'
-    return (f'On the validation samples the error of the {signal} is {before} of the signal '
-            f'(rms){"," if found else " and"} {refitted} with the nominal model refitted{found}; '
-            f'the noise alone is {noise}. The gap shrinks by '
-            f'{shrink_in_words(gap)}; the 95 % interval is for another recording '
+                f'the parameters refitted within their tolerance; the noise alone is {noise}.')
+    return (f'On the validation samples the error of the {signal} falls from {before} to '
+            f'{after} of the signal (rms); the noise alone is {noise}. The gap '
+            f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording '
             + ('of any amplitude and excitation.' if answer['plant'] == 'actuator' else
                'of this kind.'))
