@@ -268,7 +268,7 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
     converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
     same problem whose Jacobian is used at first; without: the cost of the fit without the last
     effect. A fit that ends within SLIGHT of it with the `known` Jacobian, which promises no more,
-    is given up. beside: the cost of a better fit; what costs more is found roughly.
+    is given up. beside: a cost with which it hardly counts; above that it is found roughly.
     """
     at, damping = _Point.of(problem, start), DAMPING
     if near is None or near.slopes is None:

@@ -36,8 +36,8 @@ def converged(found: Found, goal: float = math.inf, beside: float = math.inf) ->
 
     The integration error of the sub-step is corrected at the fitted parameters, again after each
     fit, and the best fit is kept. If that does not converge, a shorter sub-step is used. goal: a
-    negative log posterior; a fit that cannot reach it is given up. beside: that of a better fit;
-    what costs more is found roughly.
+    negative log posterior; a fit that cannot reach it is given up. beside: one with which
+    a fit hardly counts; above that it is found roughly.
     """
     known: list[Found] = []
     change, left = 0.0, 0.0
