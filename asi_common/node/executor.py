@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
-from asi_common.executable import end_while_compiling
+from asi_common.executable import end_by_signal, end_while_compiling
 from asi_common.node.priority import prefer
 from asi_common.parameter import ParameterError
 from asi_common.signals import SIGNALS, end_quietly
@@ -42,6 +42,9 @@ WAKE_PERIOD_S: Final = 0.02
 # node waits for slow ones, until Fast DDS declares one that was killed dead (20 s).
 LAST_MESSAGES_S: Final = 1.0
 SLOW_SUBSCRIBER_S: Final = 30.0
+# How long a signal waits for a node that is being made, so that the node leaves the graph: others
+# see one that does not until Fast DDS declares it dead (20 s).
+MAKING_S: Final = 1.0
 # Longest time for a node to end, including the rest of a bag. Fast DDS 2.14 can deadlock with a
 # callback if several nodes end at the same moment.
 END_S = 60.0
@@ -205,7 +208,7 @@ def run_node(make_node: Callable[[], Node], at_once: bool = True) -> int:
     """
     Run a node until SIGINT, SIGTERM or its own end; return the exit status.
 
-    at_once: until the node is made it has nothing to keep, so a signal ends the process there.
+    at_once: a node that is being made has nothing to keep, so a signal waits for it for MAKING_S.
     0: stopped by a signal or finished (RunFinished); 1: the run failed (RunError); 2: a bad
     parameter or ROS argument. What went wrong is logged in one line.
     """
@@ -239,20 +242,24 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
         rclpy.try_shutdown()
         return 0 if help_ else 2
     executor = LoopExecutor()
+    making = at_once
+
+    def give_up() -> None:
+        time.sleep(MAKING_S)
+        if making:
+            end_by_signal(0)
 
     def stop(*_: object) -> None:
         executor.stopped = True
+        if making:
+            threading.Thread(target=give_up, daemon=True).start()
 
-    def stoppable() -> None:
-        for number in SIGNALS:
-            signal.signal(number, stop)
-
-    if not at_once:
-        stoppable()
+    for number in SIGNALS:
+        signal.signal(number, stop)
     made = end_while_compiling(SIGNALS, 0)
     try:
         node = make_node()
-        stoppable()
+        making = False
     except (ParameterError, rclpy_implementation.RCLError) as error:
         # RCLError: the middleware lacks a feature that the environment requests, such as security.
         get_logger('asi').fatal(' '.join(str(error).split()))
