@@ -85,6 +85,7 @@ def test_a_signal_while_the_simulated_firmware_compiles_ends_it_at_once(
 SIGNAL_FIRST = """
 import signal
 import sys
+import time
 from rclpy.node import Node
 from asi_common.node import executor as spin
 
@@ -93,6 +94,8 @@ class Made(Node):
         super().__init__('made')
         for number in (signal.SIGINT, signal.SIGINT, signal.SIGTERM):
             signal.raise_signal(number)
+        if {hangs}:
+            time.sleep(600.0)
         print('made', flush=True)
 
     def destroy_node(self):
@@ -103,12 +106,13 @@ sys.exit(spin.run_node(Made, {at_once}))
 """
 
 
-@pytest.mark.parametrize(('at_once', 'printed'), [(True, ''), (False, 'made\ndestroyed\n')])
-def test_a_signal_while_a_node_is_made_ends_it_at_once_unless_it_keeps_something(
-        at_once: bool, printed: str, ros_environment: dict[str, str]) -> None:
-    code = SIGNAL_FIRST.replace('{at_once}', str(at_once))
+@pytest.mark.parametrize(('at_once', 'hangs', 'printed'), [
+    (True, False, 'made\ndestroyed\n'), (False, False, 'made\ndestroyed\n'), (True, True, '')])
+def test_a_node_that_is_interrupted_while_it_is_made_leaves_the_graph_unless_it_hangs(
+        at_once: bool, hangs: bool, printed: str, ros_environment: dict[str, str]) -> None:
+    code = SIGNAL_FIRST.replace('{at_once}', str(at_once)).replace('{hangs}', str(hangs))
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                            env={**ros_environment, 'PYTHONPATH': str(ROOT)})
+                            env={**ros_environment, 'PYTHONPATH': str(ROOT)}, timeout=PATIENCE_S)
     assert (result.returncode, result.stdout, result.stderr) == (0, printed, '')
 
 
