@@ -230,15 +230,11 @@ def motion_substep(state, p, steady):
 def advance(state, command, p, steady):
     """Advance `state` by one control period at a constant valve command (N), in place."""
     limited = sent(state, command, p)
-    if p.command_path_delay == 0.0:
-        jump(state, limited, p)
-        for _ in range(steady.substeps):
-            substep(state, limited, p, steady)
-    else:
-        delay = delay_now(state, p, steady)
-        jump(state, arrived(state, 0, delay), p)
-        for number in range(steady.substeps):
-            substep(state, arrived(state, number, delay), p, steady)
+    delayed = p.command_path_delay > 0.0
+    delay = delay_now(state, p, steady)
+    jump(state, arrived(state, 0, delay) if delayed else limited, p)
+    for number in range(steady.substeps):
+        substep(state, arrived(state, number, delay) if delayed else limited, p, steady)
     state.sample += 1
     if p.force_sensor_drop_rate > 0.0:
         keep_reading(state, p)

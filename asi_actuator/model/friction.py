@@ -233,10 +233,7 @@ def friction(seals, mean_velocity, velocity, p, h):
 @inlined
 def settle(seals, change, p):
     """Let the next sub-step begin where this one ended, at a velocity larger by `change` (m/s)."""
-    if p.friction_model != FULL:
-        seals[BEFORE] = 0.0
-        return
-    count = elements(p)[0]
+    count = elements(p)[0] if p.friction_model == FULL else 0
     for i in range(count):
         seals[BEFORE, i] = seals[AFTER, i] + seals[SLOPE, i] * change
     for i in range(count, ELEMENTS):

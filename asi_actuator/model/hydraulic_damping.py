@@ -9,7 +9,7 @@ velocity, and a viscous one that grows with the opening.
 
 import math
 
-from asi_common.jit import FULL, LINEAR, jit
+from asi_common.jit import FULL, LINEAR, inlined, jit
 
 
 @jit
@@ -18,7 +18,7 @@ def tanh(x):
     return 1.0 - 2.0 / (math.exp(2.0 * x) + 1.0)
 
 
-@jit
+@inlined
 def saturation(x, tail):
     """
     Return a function that saturates at -1 and 1, of slope 1 at 0, and its slope.
@@ -42,7 +42,7 @@ def saturation(x, tail):
     return bounded, slope
 
 
-@jit
+@inlined
 def damping_curve(opening, p):
     """
     Return the curve of the family that belongs to a valve opening (-1 to 1).
@@ -63,7 +63,7 @@ def damping_curve(opening, p):
     return magnitude, extending, retracting, width, at_rest, size
 
 
-@jit
+@inlined
 def tangents_force(velocity, curve, p):
     """Return the force (N) of the curve against a velocity (m/s), and its slope (N s/m)."""
     bound = p.hydraulic_damping_maximum_force
@@ -81,7 +81,7 @@ def tangents_force(velocity, curve, p):
     return bound * bounded, slope * bounded_slope
 
 
-@jit
+@inlined
 def damping_force(velocity, curve, p):
     """Return the damping force (N) against a velocity (m/s), and its slope (N s/m)."""
     force, slope = tangents_force(velocity, curve, p)

@@ -15,7 +15,7 @@ import math
 from typing import Final, NamedTuple
 
 from asi_actuator.model.linear_lag import FirstOrder, first_order_or_none
-from asi_common.jit import FULL, LINEAR, jit
+from asi_common.jit import FULL, LINEAR, inlined, jit
 
 # Number of the plays of a spread loop, and of the further ones: of evenly spread widths.
 FURTHER = 8
@@ -144,7 +144,7 @@ def valve_hysteresis(flux, command, filtered, p):
     return command
 
 
-@jit
+@inlined
 def circuit(state, command, p, lag):
     """
     Return the drive (N) at a command (N); updates the plays and the lag of the flux.
@@ -159,7 +159,7 @@ def circuit(state, command, p, lag):
     return saturated(behind(state, flux, p, lag), p)
 
 
-@jit
+@inlined
 def magnetise(state, command, p, step):
     """
     Return the drive (N) after a time at a constant command (N); updates the magnetic circuit.
