@@ -240,7 +240,7 @@ def advance(state, command, p, steady):
         keep_reading(state, p)
 
 
-@jit
+@inlined
 def advance_valve(state, command, p, steady, positions):
     """
     Advance the valve alone by one control period at a constant valve command (N), in place.
@@ -258,7 +258,7 @@ def advance_valve(state, command, p, steady, positions):
     state.sample += 1
 
 
-@jit
+@inlined
 def advance_motion(state, positions, p, steady):
     """Advance all behind a valve with these `positions` (see advance_valve) by one period."""
     state.valve_position = positions[0]
