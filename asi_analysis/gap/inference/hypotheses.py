@@ -134,7 +134,13 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                         key=lambda fitted: fitted.cost)
         better = [fitted for fitted in richer[:1] if fitted.cost < 0.98 * first.fitted.cost]
         found[first.names] = first._replace(fitted=refit(group, first.fitted, better))
-    return found | _pruned(group, found)
+    return _without_closed(found | _pruned(group, found))
+
+
+def _without_closed(found: dict[Names, Candidate]) -> dict[Names, Candidate]:
+    """Return the fits but those of a backlash that has closed."""
+    return {names: each for names, each in found.items()
+            if not is_closed(each.variants, each.fitted.free, each.fitted.theta)}
 
 
 def _refitted_pairs(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidate]:
@@ -225,8 +231,7 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
     polished = in_threads(lambda each: polish(group, each.fitted), near)
     found |= {each.names: each._replace(fitted=fitted)
               for each, fitted in zip(near, polished, strict=True)}
-    return {names: each for names, each in found.items()
-            if not is_closed(each.variants, each.fitted.free, each.fitted.theta)}
+    return _without_closed(found)
 
 
 def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:

@@ -42,9 +42,11 @@ RIGID_RESIDUAL: Final = 4e-4
 MOST_RESIDUAL: Final = 0.7
 CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
 
-# The form of a backlash with two masses, and the share of its range below which a width is zero.
+# The form of a backlash with two masses, and the share of its range (of the logarithm) below which
+# a width is zero: within 40 % of a thousandth of the motion, or 10 % of the smallest one that a
+# load which moves freely allows.
 FLOATING: Final = ('backlash_floating', 1.0)
-CLOSED: Final = 1e-3
+CLOSED: Final = 0.05
 
 
 class Rattling(NamedTuple):
