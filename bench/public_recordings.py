@@ -151,7 +151,7 @@ def judged(rig: Mapping[str, Any], answer: Answer) -> str:
 
 
 def main() -> None:
-    """Print the table, and how many answers are right, undecided and wrong."""
+    """Print the table, and how many answers are right, undecided and wrong; 1 if any failed."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('directory', help='where the fetched recordings are')
     parser.add_argument('--links', action='store_true', help='print how to fetch them')
@@ -162,13 +162,16 @@ def main() -> None:
     if arguments.links:
         print('\n'.join(links(arguments.directory)))
         return
+    chosen = [rig for rig in rigs() if rig['half'] == (arguments.half or rig['half'])
+              and (arguments.only or '') in rig['name']]
+    if not chosen:
+        parser.error(f'no rig has {arguments.only!r} in its name')
+    if arguments.keep and arguments.keep.exists():
+        parser.error(f'--keep {arguments.keep} exists: name a new folder')
     counts: Counter[tuple[str, str]] = Counter()
     print('| half | rig | known cause | answer | probability | |\n|---|---|---|---|---|---|')
-    for rig in rigs():
-        if rig['half'] != (arguments.half or rig['half']):
-            continue
-        if (arguments.only or '') not in rig['name']:
-            continue
+    for number, rig in enumerate(chosen, 1):
+        print(f'{number} of {len(chosen)}: {rig["name"]}', file=sys.stderr, flush=True)
         begin = time.perf_counter()
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
@@ -187,6 +190,8 @@ def main() -> None:
               f'{answer.notes}', file=sys.stderr, flush=True)
     for (half, judgement), count in sorted(counts.items()):
         print(f'{half} half: {judgement} {count}')
+    if any(judgement == 'failed' for _, judgement in counts):
+        sys.exit(1)
 
 
 if __name__ == '__main__':

@@ -108,7 +108,8 @@ def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
         force, length = run.unit('command' if run.command_n is not None else 'reference'), force
     if (force, length) != ('N', 'm'):
         unit = unit.replace('kg', 'N s2/m')
-    return re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
+    unit = re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
+    return re.sub('^1 ?(?!/)', '', unit)   # of a number, as a register's
 
 
 def unit_of_free(free: Free, channel: str, run: Run, plant: str) -> str:
@@ -215,7 +216,8 @@ def _found(answer: Mapping[str, Any], plant: str) -> str:
     sure = f'(probability {chance(answer["probability"])})'
     changed = answer['baseline']
     if names == [NO_GAP]:
-        return (f'Nothing has changed beyond the spread of the healthy recordings {sure}.'
+        return (f'{"Perhaps nothing" if changed["change"] == "cannot_tell" else "Nothing"} has '
+                f'changed beyond the spread of the healthy recordings {sure}.'
                 if changed else f'No gap beyond the noise and the tolerance of the model {sure}.')
     where = {row['block']: row['share'] for row in answer['where']
              if row['share'] >= LEAST_SHARE}
@@ -277,8 +279,10 @@ def _error(answer: Mapping[str, Any]) -> str:
     if answer['verdict'] == NO_GAP:
         return (f'The error of the {signal} is {before} of the signal (rms), and {refitted} with '
                 f'the parameters refitted within their tolerance; the noise alone is {noise}.')
-    return (f'On the validation samples the error of the {signal} falls from {before} to '
-            f'{after} of the signal (rms); the noise alone is {noise}. The gap '
-            f'shrinks by {shrink_in_words(gap)}; the 95 % interval is for another recording '
+    falls = gap['after_nrmse'] < gap['before_nrmse']
+    return (f'On the validation samples the error of the {signal} {"falls" if falls else "rises"} '
+            f'from {before} to {after} of the signal (rms); the noise alone is {noise}. The gap '
+            f'{"shrinks" if falls else "does not shrink, but"} by {shrink_in_words(gap)}; the '
+            '95 % interval is for another recording '
             + ('of any amplitude and excitation.' if answer['plant'] == 'actuator' else
                'of this kind.'))

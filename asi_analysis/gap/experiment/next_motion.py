@@ -69,9 +69,10 @@ def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequen
              for name in CATALOGUE}
     best = max(worst, key=lambda name: worst[name])
     _, size, frequency = simulated(pairs[0][0], best)
+    duration = _duration(pairs[0][0])
     return suggestion(
-        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {_duration(pairs[0][0]):g} s',
-        None, worst[best], worst, ambiguous, missing)
+        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {duration:.3g} s', None,
+        worst[best], worst, ambiguous, missing)
 
 
 def _duration(group: Group) -> float:

@@ -31,6 +31,7 @@ LEAST_SHARE = 0.01       # of the samples in a regime, and of a gap
 LEAST_PROBABILITY = 0.02   # of a hypothesis whose effects' contributions are computed
 BINS = 16
 REPORTED_SHARE = 0.2     # share of the residual's power above which a dependence is reported
+IN_TIME = 'time in the run'
 REPORTED_FACTOR = 1.6    # ratio of the largest to the smallest regime that is reported
 
 
@@ -236,7 +237,7 @@ def regimes_of(recording: Recording, channel: str) -> dict[tuple[str, str], Mask
         found |= {('valve opening', 'small'): opening <= middle,
                   ('valve opening', 'large'): opening > middle}
     third = np.arange(real.size) * 3 // real.size
-    return found | {('time in the run', name): third == number for number, name in enumerate(
+    return found | {(IN_TIME, name): third == number for number, name in enumerate(
         ('first third', 'second third', 'last third'))}
 
 
@@ -293,7 +294,7 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
             ('velocity', velocity_of(recording)),
             ('input' if channel == 'static' else 'command', recording.command),
             ('valve position', recording.valve_position),
-            ('force', recording.force), ('time in the run', recording.time_s),
+            ('force', recording.force), (IN_TIME, recording.time_s),
             ) if values is not None and not (
                 name == 'valve position' and channel in ('valve', 'static'))})
     rest = np.concatenate(residual)
@@ -317,7 +318,8 @@ def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
         most = max(own, key=lambda regime: regime.after)
         least = min(own, key=lambda regime: regime.after)
         if most.after > REPORTED_FACTOR * least.after:
-            parts.append(f'it is largest where the {kind} is {most.regime}'
-                        if kind != 'frequency' else f'it is strongest at {most.regime}')
+            parts.append({'frequency': f'it is strongest at {most.regime}',
+                          IN_TIME: f'it is largest in the {most.regime} of the run'}.get(
+                              kind, f'it is largest where the {kind} is {most.regime}'))
     return ('Of the residual: ' + '; '.join(parts) + '.' if parts else
             'The residual does not depend on any recorded quantity in particular.')
