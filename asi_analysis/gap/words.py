@@ -282,7 +282,8 @@ def _error(answer: Mapping[str, Any]) -> str:
     falls = gap['after_nrmse'] < gap['before_nrmse']
     return (f'On the validation samples the error of the {signal} {"falls" if falls else "rises"} '
             f'from {before} to {after} of the signal (rms); the noise alone is {noise}. The gap '
-            f'{"shrinks" if falls else "does not shrink, but"} by {shrink_in_words(gap)}; the '
+            f'{"shrinks by" if falls else "does not shrink: its shrink is"} '
+            f'{shrink_in_words(gap)}; the '
             '95 % interval is for another recording '
             + ('of any amplitude and excitation.' if answer['plant'] == 'actuator' else
                'of this kind.'))

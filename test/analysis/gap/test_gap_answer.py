@@ -123,6 +123,36 @@ def test_words_of_a_joint_have_no_valve():
                  information={'signals': {'command': 'Nm', 'position': 'rad'}})
     assert [unit_of(unit, 'load', torque, 'joint') for unit in ('N', 'N s/m', 'kg', 's')] == [
         'Nm', 'Nm s/rad', 'Nm s2/rad', 's']
+    register = dataclasses.replace(torque, information={
+        'signals': {'command': '1', 'position': 'rad'}})
+    assert [unit_of(unit, 'load', register, 'joint')
+            for unit in ('N', 'N s/m', 'kg', 'N/m', '1/s')] == [
+        '', 's/rad', 's2/rad', '1/rad', '1/s']
+
+
+def answer_of(verdict: str, **changed: object) -> dict[str, object]:
+    """Return the part of an answer that becomes sentences."""
+    gap = {'signal': 'force', 'channel': 'load', 'noise_floor_nrmse': 0.02,
+           'before_nrmse': 0.902, 'refitted_nrmse': 0.9, 'after_nrmse': 0.915,
+           'shrink': -0.015, 'shrink_low': -0.07, 'shrink_high': 0.036}
+    return {'plant': 'joint', 'verdict': verdict, 'probability': 0.5, 'ambiguity_set': [verdict],
+            'at_limit': [], 'which': [], 'where': [{'block': 'mechanics', 'share': 1.0}],
+            'next_experiment': None, 'baseline': None, 'unexplained': '', 'gap': gap} | changed
+
+
+def test_an_error_that_rises_is_not_said_to_fall():
+    text = ' '.join(sentences(answer_of('coulomb_friction')))
+    assert 'rises from 90.2 % to 91.5 %' in text
+    assert 'does not shrink: its shrink is -1.5 %' in text
+
+
+@pytest.mark.parametrize(('change', 'begins'), [
+    ('none', 'Nothing has'), ('cannot_tell', 'Perhaps nothing has')])
+def test_what_is_uncertain_is_not_said_to_be_so(change: str, begins: str):
+    healthy = {'change': change, 'sources': ['a'], 'parameters': [], 'left': [
+        {'channel': 'load', 'signal': 'force', 'healthy_nrmse': 0.1, 'now_nrmse': 0.1}]}
+    said = sentences(answer_of('no_gap', baseline=healthy))
+    assert any(sentence.startswith(begins) for sentence in said)
 
 
 @pytest.mark.parametrize(('value', 'low', 'high', 'text'), [

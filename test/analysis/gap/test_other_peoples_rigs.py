@@ -1,6 +1,7 @@
 """Faults that recordings by others showed (doc/explanation/public_recordings.md), on our own."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from test_gap_joint import TWO_WAVES, joint
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.inference import hypotheses
+from asi_analysis.gap.inference.fit import fit_null
 from asi_analysis.gap.model import gravity
-from asi_analysis.gap.model.joint import rattling_in
+from asi_analysis.gap.model.joint import drive_of, joint_groups, rattling_in
 from asi_analysis.gap.model.rattling import is_closed
 from asi_analysis.gap.motion import stands
 from asi_analysis.gap.parts import balanced_split, reported
@@ -49,6 +52,18 @@ def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
 def test_a_backlash_of_its_smallest_width_is_none(share: float, none: bool):
     variant = rattling_in(None)[0]
     assert is_closed((variant,), variant.free, np.array([share, 0.5, 0.5])) == none
+
+
+def test_a_backlash_that_closes_at_last_is_no_hypothesis(monkeypatch: pytest.MonkeyPatch):
+    # The cylinder again: where a pair lost its friction, what was left was backlash, 0.94.
+    variant = rattling_in(None)[0]
+    closed = hypotheses.Candidate(('backlash',), (variant,), SimpleNamespace(
+        cost=0.0, free=variant.free, theta=np.array([0.007, 0.5, 0.5])))
+    monkeypatch.setattr(hypotheses, '_pruned', lambda *_: {closed.names: closed})
+    run = joint(friction=0.3)
+    group = joint_groups([run], {}, 0.2, [False], drive_of([run]))[0][0]
+    found = hypotheses.candidates_of(group, fit_null(group))
+    assert closed not in found.values() and ('coulomb_friction',) in found
 
 
 @pytest.mark.filterwarnings('ignore:.*the joint has gravity')
