@@ -60,6 +60,7 @@ def test_a_backlash_that_closes_at_last_is_no_hypothesis(monkeypatch: pytest.Mon
     closed = hypotheses.Candidate(('backlash',), (variant,), SimpleNamespace(
         cost=0.0, free=variant.free, theta=np.array([0.007, 0.5, 0.5])))
     monkeypatch.setattr(hypotheses, '_pruned', lambda *_: {closed.names: closed})
+    monkeypatch.setattr(hypotheses, 'SUFFICIENT', 0.0)   # pairs are tried, too
     run = joint(friction=0.3)
     group = joint_groups([run], {}, 0.2, [False], drive_of([run]))[0][0]
     found = hypotheses.candidates_of(group, fit_null(group))
