@@ -99,6 +99,8 @@ def _strongest_hz(run: Run) -> float:
 
 def is_sine(values: Array) -> bool:
     """Return whether nearly all of a signal is a single sine, of which one frequency is known."""
+    if np.ptp(values) == 0.0:
+        return False
     window = signal.windows.hann(values.size)
     power = np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2
     k = int(np.argmax(power))
@@ -116,7 +118,7 @@ def _sine_share(values: Array, cycles: int) -> float:
     for each in tried[tried > FEWEST_CYCLES]:
         columns = np.column_stack([np.cos(each * turn), np.sin(each * turn), np.ones(turn.size)])
         left.append(np.std(values - columns @ np.linalg.lstsq(columns, values)[0]))
-    return float(1.0 - (min(left) / max(np.std(values), 1e-300)) ** 2)
+    return float(1.0 - (min(left) / np.std(values)) ** 2)
 
 
 def _rests(values: Array) -> bool:

@@ -30,6 +30,7 @@ from asi_common.topics import TOPICS
 from asi_common.writable import choose_log_folder
 
 NAME: Final = 'asi_live'
+ACTUATOR: Final = 'asi_actuator'
 POLL_S: Final = 0.015
 DEPTH: Final = 5000
 # How long a node may take to answer, s; a busy machine is slow.
@@ -160,6 +161,9 @@ class Link:
         known = self.values.get(event.node.rpartition('/')[2])
         if known is not None and event.node.rpartition('/')[0] == (
                 self._node.get_namespace().rstrip('/')):
-            known |= {each.name: parameter_value_to_python(each.value)
-                      for each in (*event.new_parameters, *event.changed_parameters)
-                      if each.name in known}   # others are of a new node
+            changed = {each.name: parameter_value_to_python(each.value)
+                       for each in (*event.new_parameters, *event.changed_parameters)
+                       if each.name in known}   # others are of a new node
+            known |= changed
+            if changed and event.node.endswith(f'/{ACTUATOR}'):
+                self.recent.plant_changed()

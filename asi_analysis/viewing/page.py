@@ -24,9 +24,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from asi_actuator.model.effects import EFFECTS
 from asi_analysis.errors import InputError
 from asi_analysis.viewing.frames import CHARTS, LOOP, WINDOWS_S, Frames
-from asi_analysis.viewing.link import LinkError
+from asi_analysis.viewing.link import ACTUATOR, LinkError
 from asi_analysis.viewing.processes import ask
-from asi_analysis.viewing.session import ACTUATOR, CONTROLLER, Session
+from asi_analysis.viewing.session import CONTROLLER, Session
 from asi_analysis.viewing.sliders import choices_of, scale_of, typed, unit_of
 from asi_common.executable import end_at_once
 from asi_common.signals import SIGNALS, end_quietly
@@ -39,6 +39,7 @@ RECONNECT_S: Final = 30.0
 REFRESH_S: Final = 0.5
 # Seconds that a question is about: enough for a slow cycle and for the sweep of a chirp.
 ASKED_S: Final = 10.0
+LEAST_ASKED_S: Final = 2.0   # after a change of the actuator
 # Without diagnostics for this long (s) a node has ended; they come twice a second.
 SILENT_S: Final = 2.5
 SILENCE: Final = ('no node is heard: ros2 run asi_actuator actuator, and controller; '
@@ -201,9 +202,14 @@ def _actions(session: Session) -> None:
     answer = ui.label().classes('whitespace-pre font-mono text-xs overflow-auto').mark('answer')
 
     async def answered(question: str) -> None:
-        busy.visible, answer.text = True, f'asking about the last {ASKED_S:g} s …'
+        run, changed = link.recent.of_one_plant(ASKED_S)
+        lasts_s = float(run.time_s[-1] - run.time_s[0]) if run is not None else 0.0
+        why = ', since the actuator was changed' if changed else ''
+        busy.visible, answer.text = True, f'asking about the last {lasts_s:.2g} s{why} …'
         try:
-            answer.text = await ask(question, link.recent.run(ASKED_S), session.nominal,
+            if changed and lasts_s < LEAST_ASKED_S:
+                raise InputError(f'{lasts_s:.2g} s of loop time{why}: wait for a few seconds more')
+            answer.text = await ask(question, run, session.nominal,
                                     lambda told: answer.set_text(f'{told} …'))
         except InputError as error:
             answer.text = str(error)

@@ -44,7 +44,7 @@ class Recent:
         self.on_message: Callable[[], object] = lambda: None
         self._lock = threading.Lock()
         self._parts: dict[str, list[Series]] = {name: [] for name in HEARD}
-        self._number = 0
+        self._number = self._changed_ns = 0
 
     def add(self, name: str, taken: Sequence[Taken]) -> None:
         """
@@ -65,7 +65,7 @@ class Recent:
                 known = self._parts[name]
                 steps = np.diff(part.stamp_ns, prepend=known[-1].stamp_ns[-1] if known else -1)
                 if steps[0] < 0:
-                    self._parts = {each: [] for each in HEARD}
+                    self._parts, self._changed_ns = {each: [] for each in HEARD}, 0
                 part = _of(part, (steps != 0) | (part.stamp_ns == 0))
                 self.heard += len(taken)
             parts = self._parts[name]
@@ -77,6 +77,19 @@ class Recent:
                 parts.pop(0)
         if name == 'joint_states':
             self.on_message()
+
+    def plant_changed(self) -> None:
+        """Take note that what comes from now on is of another plant."""
+        with self._lock:
+            if states := self._parts['joint_states']:
+                self._changed_ns = _last_ns(states[-1])
+
+    def of_one_plant(self, seconds: float) -> tuple[Run | None, bool]:
+        """Return the last seconds since the plant changed, and whether it changed in them."""
+        with self._lock:
+            states = self._parts['joint_states']
+            since_s = (_last_ns(states[-1]) - self._changed_ns) * 1e-9 if states else 0.0
+        return self.run(min(seconds, since_s)), since_s < seconds and self._changed_ns > 0
 
     def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:
         """Return the last seconds of loop time; None without two states."""

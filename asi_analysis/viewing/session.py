@@ -10,11 +10,11 @@ from rclpy.validate_namespace import validate_namespace
 from asi_actuator.model.effects import EFFECT
 from asi_analysis.errors import InputError
 from asi_analysis.experiments.running import free_directory
-from asi_analysis.viewing.link import Link
+from asi_analysis.viewing.link import ACTUATOR, Link
 from asi_analysis.viewing.processes import RUNS, NodeProcess
 from asi_common.parameter import Value
 
-ACTUATOR, CONTROLLER = 'asi_actuator', 'asi_controller'
+CONTROLLER = 'asi_controller'
 # In lock-step: a busy machine slows the simulation down, and nothing is lost.
 SIMULATED: Final[dict[str, dict[str, Any]]] = {
     'controller': {'mode': 'lockstep', 'rate_hz': 1000.0},

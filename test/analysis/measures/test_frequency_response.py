@@ -106,6 +106,8 @@ def test_a_sine_is_one_in_any_number_of_cycles_and_stairs_are_none(cycles):
     stairs = np.floor(8.0 * np.abs(2.0 * (turn % 1.0) - 1.0))
     assert is_sine(3.0 + np.sin(2.0 * np.pi * turn + 1.0))
     assert not is_sine(stairs)
+    for constant in (0.0, 0.1, 3.3):   # and no warning: the noise of rounding has no shape
+        assert not is_sine(np.full(1000, constant))
 
 
 def test_what_the_input_does_not_move_is_not_told():

@@ -120,6 +120,10 @@ def test_a_user_turns_steps_records_and_asks_and_looks_for_what_is_hidden(
         await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.002')
         user.find('Hide one').click()
         await seen(lambda: session.hidden, 'the effect')
+        await seen(lambda: session.link.recent.of_one_plant(1e9)[1], 'another plant')
+        user.find('Where is the gap?').click()
+        await seen(lambda: 'since the actuator was changed' in one(user, 'answer').text,
+                   'what is asked about')
         await asyncio.to_thread(actuator.wait_for, 'command_path.delay = 0.0\n')
         await seen(lambda: one(user, 'effect').text == 'one effect is hidden', 'that it is')
         name = min(session.withheld)
@@ -195,6 +199,30 @@ def test_a_loop_that_began_again_is_shown_from_there_on() -> None:
             for stamp in stamps])
     run = recent.run(1.0)
     assert run is not None and run.signal('position').tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+def test_a_question_is_about_one_plant() -> None:
+    recent = Recent()
+    assert recent.of_one_plant(10.0) == (None, False)
+
+    def add(*stamps: int) -> None:   # ms
+        recent.add('joint_states', [
+            Taken(wire.state(stamp * 10**6, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0)[0], 0, 0)
+            for stamp in stamps])
+
+    def asked(seconds: float) -> tuple[list[float], bool]:
+        run, changed = recent.of_one_plant(seconds)
+        assert run is not None
+        return run.signal('position').tolist(), changed
+
+    add(1, 2, 3)
+    assert asked(10.0) == ([1.0, 2.0, 3.0], False)
+    recent.plant_changed()
+    add(4, 5)
+    assert asked(10.0) == ([3.0, 4.0, 5.0], True)
+    assert asked(0.001) == ([4.0, 5.0], False)
+    add(1, 2)   # the loop began again
+    assert asked(10.0) == ([1.0, 2.0], False)
 
 
 def test_a_state_that_is_published_again_counts_once() -> None:

@@ -85,6 +85,7 @@ def viewer(tmp_path: Path, monkeypatch: Any) -> Iterator[Path]:
     """Have a viewer that opens no window; yield the file that gets what it is started with."""
     started = tmp_path / 'started'
     (tmp_path / 'rerun_cli').mkdir()
+    (tmp_path / 'rerun_cli/__init__.py').touch()   # before the real one, which is a package
     (tmp_path / 'rerun_cli/__main__.py').write_text(f"""import os, socket, sys, time
 open({str(started)!r}, 'w').write(' '.join([str(os.getpid()), *sys.argv[1:]]))
 server = socket.create_server(('127.0.0.1', int(sys.argv[-1])))
