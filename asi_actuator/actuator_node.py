@@ -18,7 +18,15 @@ from asi_actuator.safety import Safety, State
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
 from asi_common.node.compilation import tell_of_compilation
-from asi_common.node.diagnostics import ERROR, OK, WARN, Diagnostics, LoopStatistics, StateChanges
+from asi_common.node.diagnostics import (
+    ERROR,
+    OK,
+    WARN,
+    Diagnostics,
+    LoopLog,
+    LoopStatistics,
+    StateChanges,
+)
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, RunFinished, run_node
 from asi_common.node.ros_parameters import RosParameters
@@ -80,6 +88,7 @@ class ActuatorNode(Node):
         self.create_service(Trigger, '~/calibrate', self._calibrate)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(SetBool, '~/pause', self._pause)
+        self.loop_log = LoopLog(self)
         self.diagnostics = Diagnostics(self, self._describe, self._state)
         self.get_logger().info(f'{values["driver"]}, {plant}, {values["mode"]} at '
                                f'{self.rate_hz:g} Hz, {self.safety.state}')
@@ -264,6 +273,7 @@ class ActuatorNode(Node):
             level, text = WARN, 'paused'
         else:
             level, text = self.loop.health()
+            self.loop_log.tell(level, text)
             if level == OK and self.safety.state is State.DISABLED:
                 level, text = WARN, 'disabled: the valve command is 0'
             if problems := self.statistics.problems():

@@ -16,7 +16,15 @@ from std_srvs.srv import SetBool
 from asi_common.loop_parameters import control_rate
 from asi_common.node import messages as wire
 from asi_common.node.compilation import tell_of_compilation
-from asi_common.node.diagnostics import ERROR, OK, SILENT_S, WARN, Diagnostics, LoopStatistics
+from asi_common.node.diagnostics import (
+    ERROR,
+    OK,
+    SILENT_S,
+    WARN,
+    Diagnostics,
+    LoopLog,
+    LoopStatistics,
+)
 from asi_common.node.discovery import AwaitedRecorder
 from asi_common.node.executor import RunError, Unhurried, run_node
 from asi_common.node.ros_parameters import RosParameters
@@ -81,6 +89,7 @@ class ControllerNode(Node):
         self.create_service(SetBool, '~/enable', self._enable)
         self.create_timer(WATCH_PERIOD_S, self._watch_reference, Unhurried(),
                           Clock(clock_type=ClockType.STEADY_TIME))
+        self.loop_log = LoopLog(self)
         Diagnostics(self, self._describe)
         self.get_logger().info(
             f'{values["compensator"]}, {values["mode"]} at {self.rate_hz:g} Hz')
@@ -163,6 +172,7 @@ class ControllerNode(Node):
     def _describe(self) -> tuple[bytes, str, dict[str, object]]:
         values = self.parameters.values
         level, text = self.loop.health()
+        self.loop_log.tell(level, text)
         if level == OK and self.wanted is not None and self.referenced_ns is None:
             text += ', without a force_reference: the desired force is 0 N'
         if level == OK and not self.controller.enabled:

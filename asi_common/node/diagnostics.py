@@ -136,6 +136,26 @@ class Diagnostics:
             self._node.get_clock().now().nanoseconds, name, statuses))
 
 
+class LoopLog:
+    """Logs that a loop that ran has stood still for PERIOD_S, and that it runs again."""
+
+    def __init__(self, node: Node):
+        self._node = node
+        self._told = self._ran = False
+        self._stood = 0   # so often in succession
+
+    def tell(self, level: bytes, text: str) -> None:
+        """Take level and message of the loop, as Diagnostics asks for them."""
+        self._ran = self._ran or level == OK
+        self._stood = 0 if level == OK else self._stood + 1
+        if self._told and not self._stood:
+            self._told = False
+            self._node.get_logger().info('running again')
+        elif self._ran and not self._told and self._stood > 1:
+            self._told = True
+            self._node.get_logger().warning(text)
+
+
 class StateChanges:
     """Publishes the state of a node, and its reason, when it changes."""
 

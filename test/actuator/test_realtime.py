@@ -137,10 +137,13 @@ def test_a_partner_that_is_gone_is_a_warning(
     controller.kill()
     words = 'no answer to state' if mode == 'lockstep' else 'no valve_command for'
     assert diagnostics('asi_actuator', words).level == DiagnosticStatus.WARN
-    start_node(CONTROLLER, **PATIENT | {'mode': mode, 'state_timeout': 0.5})
+    actuator.wait_for(words)
+    second = start_node(CONTROLLER, **PATIENT | {'mode': mode, 'state_timeout': 0.5})
     diagnostics('asi_controller', 'running')
+    actuator.wait_for('running again')
     actuator.kill()
     assert diagnostics('asi_controller', 'no new state').level >= DiagnosticStatus.WARN
+    second.wait_for('no new state')
 
 
 def test_the_state_is_published_again_and_again(start_node: Callable, ros_node: Any) -> None:
