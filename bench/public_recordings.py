@@ -165,9 +165,10 @@ def main() -> None:
     chosen = [rig for rig in rigs() if rig['half'] == (arguments.half or rig['half'])
               and (arguments.only or '') in rig['name']]
     if not chosen:
-        parser.error(f'no rig has {arguments.only!r} in its name')
-    if arguments.keep and arguments.keep.exists():
-        parser.error(f'--keep {arguments.keep} exists: name a new folder')
+        parser.error(f'no rig of that half has {arguments.only!r} in its name')
+    for rig in chosen if arguments.keep else ():
+        if (kept := arguments.keep / rig['name'].replace(' ', '_')).exists():
+            parser.error(f'{kept} exists: name another folder to --keep')
     counts: Counter[tuple[str, str]] = Counter()
     print('| half | rig | known cause | answer | probability | |\n|---|---|---|---|---|---|')
     for number, rig in enumerate(chosen, 1):

@@ -98,7 +98,7 @@ def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
     """Return a unit of the actuator's parameters, in the units of the recording."""
     if plant == 'static':
         given, got = (run.unit(name) for name in static_signals(run))
-        return unit.replace('input', given).replace('output', got)
+        return _of_number(unit, given, 'input').replace('input', given).replace('output', got)
     if plant != 'joint':
         return unit
     force = run.unit(signal_of(channel, run, plant))
@@ -108,8 +108,15 @@ def unit_of(unit: str, channel: str, run: Run, plant: str) -> str:
         force, length = run.unit('command' if run.command_n is not None else 'reference'), force
     if (force, length) != ('N', 'm'):
         unit = unit.replace('kg', 'N s2/m')
-    unit = re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
-    return re.sub('^1 ?(?!/)', '', unit)   # of a number, as a register's
+    unit = _of_number(_of_number(unit, force, 'N'), length, 'm')
+    return re.sub('[Nm]', lambda match: {'N': force, 'm': length}[match[0]], unit)
+
+
+def _of_number(unit: str, given: str, name: str) -> str:
+    """Return a unit without what has the unit `name` in it if a mere number is given for that."""
+    if given != '1':
+        return unit
+    return re.sub(f'^{name}2?(?= |$)|/{name}2?(?= |$)', '', unit).strip().replace(f'{name}/', '1/')
 
 
 def unit_of_free(free: Free, channel: str, run: Run, plant: str) -> str:
@@ -279,10 +286,12 @@ def _error(answer: Mapping[str, Any]) -> str:
     if answer['verdict'] == NO_GAP:
         return (f'The error of the {signal} is {before} of the signal (rms), and {refitted} with '
                 f'the parameters refitted within their tolerance; the noise alone is {noise}.')
-    falls = gap['after_nrmse'] < gap['before_nrmse']
-    return (f'On the validation samples the error of the {signal} {"falls" if falls else "rises"} '
-            f'from {before} to {after} of the signal (rms); the noise alone is {noise}. The gap '
-            f'{"shrinks by" if falls else "does not shrink: its shrink is"} '
+    changes = (f'stays at {before}' if before == after else
+               f'falls from {before} to {after}' if gap['after_nrmse'] < gap['before_nrmse'] else
+               f'rises from {before} to {after}')
+    return (f'On the validation samples the error of the {signal} {changes} of the signal (rms); '
+            f'the noise alone is {noise}. The gap '
+            f'{"shrinks by" if gap["shrink"] > 0.0 else "does not shrink: its shrink is"} '
             f'{shrink_in_words(gap)}; the '
             '95 % interval is for another recording '
             + ('of any amplitude and excitation.' if answer['plant'] == 'actuator' else

@@ -112,6 +112,8 @@ def is_sine(values: Array) -> bool:
 def _sine_share(values: Array, cycles: int) -> float:
     """Return the share of the variance that a sine of about so many cycles in the record has."""
     values = values[::-(-values.size // SINE_SAMPLES)]
+    if np.ptp(values) == 0.0:
+        return 0.0
     turn = 2.0 * np.pi * np.arange(values.size) / values.size
     left = []
     tried = cycles + np.linspace(-1.0, 1.0, 41)[1:]

@@ -22,6 +22,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_analysis.viewing.recent import HEARD, Recent, Taken
 from asi_common.node.executor import LoopExecutor, Polled
 from asi_common.node.ros_parameters import OF_EVERY_NODE
@@ -31,6 +32,7 @@ from asi_common.writable import choose_log_folder
 
 NAME: Final = 'asi_live'
 ACTUATOR: Final = 'asi_actuator'
+NOT_OF_PLANT: Final = {parameter.name for parameter in ACTUATOR_NODE_PARAMETERS}
 POLL_S: Final = 0.015
 DEPTH: Final = 5000
 # How long a node may take to answer, s; a busy machine is slow.
@@ -165,5 +167,6 @@ class Link:
                        for each in (*event.new_parameters, *event.changed_parameters)
                        if each.name in known}   # others are of a new node
             known |= changed
-            if changed and event.node.endswith(f'/{ACTUATOR}'):
+            if changed.keys() - NOT_OF_PLANT and event.node.endswith(f'/{ACTUATOR}'):
+                self._poll()   # what has come is of the plant before
                 self.recent.plant_changed()

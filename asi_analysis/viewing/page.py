@@ -208,12 +208,14 @@ def _actions(session: Session) -> None:
         busy.visible, answer.text = True, f'asking about the last {lasts_s:.2g} s{why} …'
         try:
             if changed and lasts_s < LEAST_ASKED_S:
-                raise InputError(f'{lasts_s:.2g} s of loop time{why}: wait for a few seconds more')
+                raise InputError(f'{lasts_s:.2g} s of loop time{why}: {LEAST_ASKED_S:g} s are '
+                                 'needed; a loop that pauses must go on')
             answer.text = await ask(question, run, session.nominal,
                                     lambda told: answer.set_text(f'{told} …'))
         except InputError as error:
             answer.text = str(error)
-        busy.visible = False
+        finally:
+            busy.visible = False
 
 
 def _effects(session: Session) -> None:

@@ -88,7 +88,7 @@ class Recent:
         """Return the last seconds since the plant changed, and whether it changed in them."""
         with self._lock:
             states = self._parts['joint_states']
-            since_s = (_last_ns(states[-1]) - self._changed_ns) * 1e-9 if states else 0.0
+            since_s = max((_last_ns(states[-1]) - self._changed_ns) * 1e-9, 0.0) if states else 0.0
         return self.run(min(seconds, since_s)), since_s < seconds and self._changed_ns > 0
 
     def run(self, seconds: float, information: Mapping[str, Any] | None = None) -> Run | None:

@@ -259,13 +259,13 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     made = end_while_compiling(SIGNALS, 0)
     try:
         node = make_node()
-        making = False
     except (ParameterError, rclpy_implementation.RCLError) as error:
         # RCLError: the middleware lacks a feature that the environment requests, such as security.
         get_logger('asi').fatal(' '.join(str(error).split()))
         rclpy.try_shutdown()
         return 2
     finally:
+        making = False
         made()
     if unprotected:
         node.get_logger().warning(unprotected)

@@ -71,7 +71,7 @@ def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequen
     _, size, frequency = simulated(pairs[0][0], best)
     duration = _duration(pairs[0][0])
     return suggestion(
-        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {duration:.3g} s', None,
+        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {duration:.0f} s', None,
         worst[best], worst, ambiguous, missing)
 
 

@@ -121,7 +121,7 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     null = refit(group, null, [single.fitted for single in singles[:NULL_RESTARTS]])
     found[()] = Candidate((), (), null)
     if not singles or excess(group, singles[0].fitted.held_out) < SUFFICIENT:
-        return found
+        return _without_closed(found)
     for first in singles[:EXTENDED]:
         found |= _extended(first, found, tick)
     found |= _refitted_pairs(group, found)

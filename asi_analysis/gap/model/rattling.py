@@ -42,11 +42,10 @@ RIGID_RESIDUAL: Final = 4e-4
 MOST_RESIDUAL: Final = 0.7
 CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
 
-# The form of a backlash with two masses, and the share of its range (of the logarithm) below which
-# a width is zero: within 40 % of a thousandth of the motion, or 10 % of the smallest one that a
-# load which moves freely allows.
+# The form of a backlash with two masses, and the share of its range below which a width is zero:
+# within 13 % of the smallest one where the range is logarithmic, 10 % where it is linear.
 FLOATING: Final = ('backlash_floating', 1.0)
-CLOSED: Final = 0.05
+CLOSED: Final = 0.019
 
 
 class Rattling(NamedTuple):
@@ -183,7 +182,7 @@ def rattling_of(recording: Recording, late: float) -> Rattling | None:
 
 def is_closed(variants: Iterable[Variant], free: Sequence[Free], theta: Array) -> bool:
     """
-    Return whether a fitted backlash with two masses has its smallest width: then it is none.
+    Return whether a fitted backlash with two masses is hardly wider than may be: then it is none.
 
     theta: the fitted values of `free`, as shares of their ranges. What is left is a soft, damped
     contact between two masses, and another cause is meant.

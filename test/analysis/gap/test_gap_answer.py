@@ -128,6 +128,15 @@ def test_words_of_a_joint_have_no_valve():
     assert [unit_of(unit, 'load', register, 'joint')
             for unit in ('N', 'N s/m', 'kg', 'N/m', '1/s')] == [
         '', 's/rad', 's2/rad', '1/rad', '1/s']
+    counts = dataclasses.replace(torque, information={
+        'signals': {'command': 'N', 'position': '1'}})
+    assert [unit_of(unit, 'load', counts, 'joint') for unit in ('N', 'N s/m', 'N s2/m2', 'm')] == [
+        'N', 'N s', 'N s2', '']
+    curve = Run(np.arange(4.0), command_n=np.arange(4.0), position_m=np.arange(4.0),
+                information={'signals': {'command': '1', 'position': 'mV'}})
+    assert [unit_of(unit, 'static', curve, 'static')
+            for unit in ('input', 'output', 'output/input', 'output/input2')] == [
+        '', 'mV', 'mV', 'mV']
 
 
 def answer_of(verdict: str, **changed: object) -> dict[str, object]:
@@ -144,6 +153,9 @@ def test_an_error_that_rises_is_not_said_to_fall():
     text = ' '.join(sentences(answer_of('coulomb_friction')))
     assert 'rises from 90.2 % to 91.5 %' in text
     assert 'does not shrink: its shrink is -1.5 %' in text
+    answer = answer_of('coulomb_friction')
+    answer['gap'] = {**answer['gap'], 'after_nrmse': 0.902, 'shrink': 0.0}   # type: ignore
+    assert 'stays at 90.2 %' in ' '.join(sentences(answer))
 
 
 @pytest.mark.parametrize(('change', 'begins'), [

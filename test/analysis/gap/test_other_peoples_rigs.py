@@ -48,7 +48,7 @@ def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
         diagnose([run], plant='joint')
 
 
-@pytest.mark.parametrize(('share', 'none'), [(0.0, True), (0.3, False)])
+@pytest.mark.parametrize(('share', 'none'), [(0.0, True), (0.007, True), (0.05, False)])
 def test_a_backlash_of_its_smallest_width_is_none(share: float, none: bool):
     variant = rattling_in(None)[0]
     assert is_closed((variant,), variant.free, np.array([share, 0.5, 0.5])) == none

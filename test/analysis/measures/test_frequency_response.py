@@ -108,6 +108,9 @@ def test_a_sine_is_one_in_any_number_of_cycles_and_stairs_are_none(cycles):
     assert not is_sine(stairs)
     for constant in (0.0, 0.1, 3.3):   # and no warning: the noise of rounding has no shape
         assert not is_sine(np.full(1000, constant))
+    last = np.zeros(20000)
+    last[-1] = 1.0   # left out where a long signal is thinned
+    assert not is_sine(last)
 
 
 def test_what_the_input_does_not_move_is_not_told():

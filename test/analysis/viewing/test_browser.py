@@ -1,5 +1,6 @@
 """The live page in headless Chromium, over real nodes; skipped where there is no Chromium."""
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -55,7 +56,7 @@ class Tab:
         self.page.wait_for_timeout(50)   # a plain sleep would stop the browser's events
         return float(self.gain.input_value())
 
-    def wait_for(self, text: str, patience_s: float = PATIENCE_S) -> str:
+    def wait_for(self, text: str | re.Pattern, patience_s: float = PATIENCE_S) -> str:
         """Return the element with a text, once it is on the page."""
         found = self.page.get_by_text(text).first
         found.wait_for(timeout=1e3 * patience_s)
@@ -99,9 +100,13 @@ def test_a_dragged_slider_turns_the_gain_and_the_plots_show_the_step(
     assert last(curves[LOOP]['valve']) > 1.0   # um
     tab.press('Hide one')
     tab.wait_for('one effect is hidden')
-    tab.press('How well?')
-    # The command runs with a low priority: beside other tests it gets little of the processor.
-    assert 's at 500 Hz' in tab.wait_for('asi analyze runs/', ANSWER_PATIENCE_S)
+    answer = 'refused: s are needed'
+    while 's are needed' in answer:   # of the plant with the effect
+        tab.press('How well?')
+        tab.page.wait_for_timeout(500)
+        # With a low priority: beside other tests the command gets little of the processor.
+        answer = tab.wait_for(re.compile('asi analyze runs/|s are needed'), ANSWER_PATIENCE_S)
+    assert 's at 500 Hz' in answer
     tab.press('Reveal and remove')
     tab.wait_for('; it is off')
     assert not tab.errors
