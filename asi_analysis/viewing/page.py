@@ -209,7 +209,7 @@ def _actions(session: Session) -> None:
         try:
             if changed and lasts_s < LEAST_ASKED_S:
                 raise InputError(f'{lasts_s:.2g} s of loop time{why}: {LEAST_ASKED_S:g} s are '
-                                 'needed; a loop that pauses must go on')
+                                 'needed (Go on, if the loop is paused)')
             answer.text = await ask(question, run, session.nominal,
                                     lambda told: answer.set_text(f'{told} …'))
         except InputError as error:

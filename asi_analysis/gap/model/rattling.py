@@ -182,7 +182,7 @@ def rattling_of(recording: Recording, late: float) -> Rattling | None:
 
 def is_closed(variants: Iterable[Variant], free: Sequence[Free], theta: Array) -> bool:
     """
-    Return whether a fitted backlash with two masses is hardly wider than may be: then it is none.
+    Return whether a fitted backlash with two masses has nearly its smallest width, and so is none.
 
     theta: the fitted values of `free`, as shares of their ranges. What is left is a soft, damped
     contact between two masses, and another cause is meant.
