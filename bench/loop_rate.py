@@ -29,6 +29,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 from asi_actuator.actuator_node import ActuatorNode
+from asi_analysis.terminal import bar
 from asi_common.node import messages as wire
 from bench.empty_nodes import SENT, messages
 from bench.result import Result, deviation, interleaved, ratios
@@ -150,10 +151,12 @@ def in_turns(rivals: dict[str, Callable[[], Any]], rounds: int) -> dict[str, lis
     """Return the results of each by round; the order is reversed from round to round."""
     results: dict[str, list[Any]] = {name: [] for name in rivals}
     names = list(rivals)
-    for _ in range(rounds):
-        for name in names:
-            results[name].append(rivals[name]())
-        names.reverse()
+    with bar() as progress:
+        for done in range(rounds):
+            for number, name in enumerate(names):
+                progress(name, (done + number / len(names)) / rounds)
+                results[name].append(rivals[name]())
+            names.reverse()
     return results
 
 
