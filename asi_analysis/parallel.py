@@ -6,6 +6,7 @@ Results have the order of the tasks, whichever worker computed them.
 
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -80,7 +81,9 @@ def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Itera
 
     A terminal sends Ctrl-C to every process; only this one reacts, and ends the others. Tasks
     are not batched: after a few quick ones, joblib would give sixteen slow ones to one process.
+    joblib replaces a process that has grown by 300 MB, as compiled code may do, and says so.
     """
+    warnings.filterwarnings('ignore', 'A worker stopped while some jobs')
     with _interrupts_blocked():   # the call below starts the processes
         results = joblib.Parallel(return_as='generator', batch_size=1)(
             joblib.delayed(function)(*arguments) for arguments in work)

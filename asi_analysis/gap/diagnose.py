@@ -410,7 +410,8 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
                                                        diagnosis.plant),
         'before_nrmse': shrink.nominal, 'refitted_nrmse': shrink.refitted,
         'after_nrmse': shrink.after, 'noise_floor_nrmse': shrink.noise_alone,
-        'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high}
+        'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high,
+        'edge_hz': shrink.edge_hz}
         for shrink in diagnosis.shrinks}
     weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
     best = diagnosis.best(weighed).fitted.record

@@ -59,6 +59,12 @@ class Motion:
     pad: int                     # samples before the recording
     measured: bool               # false if the position was found by integration
 
+    @property
+    def edge_hz(self) -> float:
+        """Return the upper end of the band in which signals are compared (-3 dB)."""
+        inside = self.omega[self.judge > math.sqrt(0.5)]
+        return float(inside.max(initial=self.omega[1])) / (2.0 * np.pi)
+
 
 def extended(values: Array, pad: int, reflect_type: Literal['even', 'odd'] = 'odd') -> Array:
     """
@@ -147,8 +153,7 @@ def noise_above(signal: Array, motion: Motion, period: float) -> float:
 
     Noise that is not white has about that density in the band, where the motion hides it.
     """
-    gain = np.sqrt(0.5)
-    edge = float(motion.omega[motion.judge > gain].max(initial=motion.omega[1])) / (2.0 * np.pi)
+    edge = motion.edge_hz
     frequency, power = welch(signal, 1.0 / period, nperseg=min(
         signal.size // 4, int(SEGMENTS / (edge * period))))
     beside = power[(frequency > NOISE_BAND[0] * edge) & (frequency < NOISE_BAND[1] * edge)]

@@ -72,8 +72,10 @@ def _errors(answer: Mapping[str, Any], gap: bool) -> Table:
     rows = []
     for row in answer['channels']:
         there = row['before_nrmse'] > row['noise_floor_nrmse']   # else there is nothing to shrink
+        edge = row['edge_hz']
         cells = {'signal': row['signal'].replace('_', ' ') + (
-                     ', from the motion' if row['channel'] == 'load' else ''),
+                     ', from the motion' if row['channel'] == 'load' else '') + (
+                     f', up to {digits(edge, "Hz")}' if edge else ''),
                  'nominal': percent(row['before_nrmse']),
                  'refitted': percent(row['refitted_nrmse']),
                  'with what was found': percent(row['after_nrmse']),

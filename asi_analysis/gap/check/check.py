@@ -35,7 +35,7 @@ from asi_analysis.gap.model.effects import (
     block_of,
 )
 from asi_analysis.gap.model.group import exact, prepared_for
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import unexplained
 from asi_analysis.gap.model.static import like
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.parallel import each
@@ -63,8 +63,7 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     recording = prepared_for(group, replace(recording, fit=none))   # no fitted initial state
     errors = []
     for p in (group.as_given, diagnosis.best(weighed).fitted.record):
-        left = measured(recording, shrink.channel) - predict(recording, shrink.channel,
-                                                             exact(group, p))
+        left = unexplained(recording, shrink.channel, exact(group, p))
         errors.append(math.sqrt(float(np.mean(left[valid] ** 2))))
     return 1.0 - errors[1] / errors[0] if errors[0] else 0.0
 

@@ -16,7 +16,7 @@ from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.blocks import impedance, load_constants
 from asi_analysis.gap.model.effects import MOTIONS, UNKNOWN, block_of
 from asi_analysis.gap.model.group import Group, Values
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import compared, measured, predict, unexplained
 from asi_analysis.gap.motion import low_pass
 from asi_analysis.gap.prepare import Recording, velocity_of
 
@@ -78,8 +78,9 @@ def _shares(groups: list[Weighed], counts: Callable[[Names], bool]) -> dict[str,
     for weighed in groups:
         group, null = weighed.group, _without_effects(weighed)
         for channel in group.channels:
-            size = np.mean([np.mean(measured(r, channel) ** 2) for r in group.recordings])
-            gap = max(null[channel] - group.error_floor[channel], 0.0) / float(size)
+            size = np.mean([np.mean(compared(r, channel, measured(r, channel)) ** 2)
+                            for r in group.recordings])
+            gap = max(null[channel] - group.judged_floor(channel), 0.0) / float(size)
             for names, probability in weighed.probability.items():
                 for block, part in (_blocks_of(weighed, names, channel, probability).items()
                                     if counts(names) else ()):
@@ -96,7 +97,7 @@ def _without_effects(weighed: Weighed) -> Values:
     """
     group, null = weighed.group, weighed.candidates[()].fitted.held_out
     best = max(weighed.candidates, key=lambda names: weighed.probability[names])
-    if not best or any(null[channel] > group.error_floor[channel] for channel in group.channels):
+    if not best or any(null[channel] > group.judged_floor(channel) for channel in group.channels):
         return null
     return held_out_error(group, _nulled(weighed, best, best))
 
@@ -251,8 +252,7 @@ def by_regime(group: Group, channel: str, before: np.void, after: np.void) -> li
     total = np.zeros(3)
     for recording in group.recordings:
         valid = recording.valid
-        real = measured(recording, channel)
-        residual = np.array([real - predict(recording, channel, p) for p in (before, after)])
+        residual = np.array([unexplained(recording, channel, p) for p in (before, after)])
         total += [*np.sum(residual[:, valid] ** 2, axis=1), valid.sum()]
         inner = slice(*np.flatnonzero(valid)[[0, -1]])   # without the start, which is not used
         for low, high in BANDS_HZ:
@@ -286,7 +286,7 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     residual, kinds = [], []
     for recording in group.recordings:
         valid = recording.valid
-        residual.append((measured(recording, channel) - predict(recording, channel, p))[valid])
+        residual.append(unexplained(recording, channel, p)[valid])
         motion = recording.motion
         inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
         kinds.append({name: values[valid] for name, values in (

@@ -7,8 +7,9 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.uncertainty import LIMIT_95
+from asi_analysis.gap.model.effects import MOTIONS
 from asi_analysis.gap.model.group import Group
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import compared, measured, unexplained
 
 STRETCHES = 24   # of the validation samples: longer than the correlation time of the errors
 DRAWS = 1000
@@ -27,6 +28,7 @@ class Shrink(NamedTuple):
 
     nominal: with the nominal parameters; refitted: with the uncertain ones fitted; after: with the
     effects of the verdict. shrink = 1 - after / nominal, with its 95 % interval low to high.
+    edge_hz: of a motion, the upper end of the band in which it is compared; else None.
     """
 
     channel: str
@@ -37,21 +39,22 @@ class Shrink(NamedTuple):
     shrink: float
     low: float
     high: float
+    edge_hz: float | None
 
     @property
     def noise_alone(self) -> float:
         """
         Return the error of noise alone, at most what a model leaves.
 
-        That of a motion is estimated above its band, where there may be more than in it.
+        That of a motion is estimated above its band, where there may be more of it than within.
         """
         return min(self.noise_floor, self.nominal, self.refitted, self.after)
 
 
 def stretches_error(group: Group, channel: str, p: np.void) -> Array:
     """Return the mean square residual in each stretch of the validation samples."""
-    residual = np.concatenate([(measured(recording, channel) - predict(recording, channel, p))[
-        recording.report] for recording in group.recordings])
+    residual = np.concatenate([unexplained(recording, channel, p)[recording.report]
+                               for recording in group.recordings])
     stretches = np.array_split(residual, min(STRETCHES, residual.size))
     return np.array([np.mean(part ** 2) for part in stretches])
 
@@ -59,26 +62,29 @@ def stretches_error(group: Group, channel: str, p: np.void) -> Array:
 def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void,
               elsewhere: bool) -> Shrink:
     """
-    Return the shrink of the gap of a channel.
+    Return the shrink of the gap of a channel: of a motion, in the band in which it is compared.
 
     elsewhere: its interval is for a fresh recording of another amplitude and excitation, not only
     for one of the same kind.
     """
-    square = np.concatenate([measured(r, channel)[r.report] ** 2 for r in group.recordings])
+    square = np.concatenate([compared(r, channel, measured(r, channel))[r.report] ** 2
+                             for r in group.recordings])
     size = math.sqrt(float(square.mean())) or 1.0
     errors = {name: stretches_error(group, channel, p)
               for name, p in (('nominal', group.as_given), ('refitted', refitted),
                               ('after', after))}
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
-    floor = group.noise[channel]
-    if rms['nominal'] ** 2 <= group.error_floor[channel] - floor ** 2:
+    edge = max((r.motion.edge_hz for r in group.recordings if r.motion), default=None) if (
+        channel in MOTIONS) else None
+    floor = group.noise[channel] * math.sqrt(group.judged_share.get(channel, 1.0))
+    if rms['nominal'] ** 2 <= group.judged_floor(channel) - floor ** 2:
         # Below the model error that any model has: there is no gap that could shrink.
         return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
-                      floor / size, 0.0, 0.0, 0.0)
+                      floor / size, 0.0, 0.0, 0.0, edge)
     shrink = 1.0 - rms['after'] / rms['nominal'] if rms['nominal'] else 0.0
     low, high = _interval(shrink, errors['nominal'], errors['after'], elsewhere)
     return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,
-                  floor / size, shrink, low, high)
+                  floor / size, shrink, low, high, edge)
 
 
 def _interval(shrink: float, nominal: Array, after: Array, elsewhere: bool

@@ -21,7 +21,7 @@ from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
 from asi_analysis.gap.model.group import Group, Values, acts_on
-from asi_analysis.gap.model.predict import judged_error, measured, predict
+from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
@@ -144,7 +144,7 @@ def held_out_error(group: Group, p: np.void) -> Values:
             # A characteristic has few parameters and may deviate anywhere: hence all samples.
             mask = recording.known if channel == 'static' else _comparable(
                 recording, group.recordings)
-            error = (measured(recording, channel) - predict(recording, channel, p))[mask]
+            error = unexplained(recording, channel, p)[mask]
             total += float(error @ error)
             count += error.size
         residual[channel] = total / count

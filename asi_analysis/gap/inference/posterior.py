@@ -174,8 +174,9 @@ class Posterior(Problem):
 
     def curvature(self, theta: Array, base: Array, step: Array) -> Array:
         """Return the second directional derivative of the residual along a step."""
-        ahead, back = (self.residual(np.clip(theta + part * step, 0.0, 1.0))
-                       for part in (CURVATURE_STEP, -CURVATURE_STEP))
+        ahead, back = self.in_parallel(
+            lambda part: self.residual(np.clip(theta + part * step, 0.0, 1.0)),
+            (CURVATURE_STEP, -CURVATURE_STEP))
         return (ahead - 2.0 * base + back) / CURVATURE_STEP ** 2
 
     @property

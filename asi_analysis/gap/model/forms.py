@@ -48,8 +48,8 @@ _MAXWELL = ((Free('friction_presliding_slip', 0.0, 1.0, (0.5,)),
 
 
 def _first_friction(*more: Free, sharp: bool = True,
-                    laws: tuple[tuple[tuple[Free, ...], dict[str, float]], ...] = (_DAHL,)
-                    ) -> tuple[Variant, ...]:
+                    laws: tuple[tuple[tuple[Free, ...], dict[str, float]], ...] = (
+                        _DAHL, _MAXWELL)) -> tuple[Variant, ...]:
     """Return forms of friction in a plant that has none: on either side of the force sensor."""
     without_stiction = {'friction_stribeck_velocity': 1e-6} if sharp else {}   # its least
     return tuple(_form(
@@ -147,7 +147,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         # In some formulations the breakaway force grows with Coulomb friction.
         _form(MOVED, _scaled('friction_coulomb', 0.0, 20.0, (3.0, 0.4)), *_BREAKAWAY,
               needs=('friction_model',)),
-        *_first_friction(laws=(_DAHL, _MAXWELL)),
+        *_first_friction(),
     ),
     'stiction': (
         _form(MOVED, _scaled('friction_stiction_push', 0.0, 8.0), needs=('friction_model',)),

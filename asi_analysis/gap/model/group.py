@@ -115,6 +115,10 @@ class Group:
     other_shapes: tuple[Free, ...] = ()   # free as well if the laws are formulated in another way
     passes: int = 0    # of the input of a static characteristic, in one direction
 
+    def judged_floor(self, channel: str) -> float:
+        """Return the error floor (mean square) of a channel within the band of its residual."""
+        return self.error_floor[channel] * self.judged_share.get(channel, 1.0)
+
     @property
     def held_out_s(self) -> float:
         """

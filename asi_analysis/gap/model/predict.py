@@ -321,9 +321,8 @@ def measured(recording: Recording, channel: str) -> Array:
 
 def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
     """
-    Return the error of a prediction, n samples in the channel's unit; of a motion, in its band.
+    Return the error of a prediction, n samples in the channel's unit, as `compared` returns it.
 
-    Above that band a mass rings when it begins or ends to slide, which the force does not show.
     Noise of the simulator's channels is made white (Ljung, System Identification, 2nd ed., 7.3).
     """
     error: Array = measured(recording, channel) - predict(recording, channel, p)
@@ -335,6 +334,21 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
             error = whitened_by(factor, error - mean, recording.valid)
         elif colour:
             error = whitened(error, recording.valid, colour)
+    return compared(recording, channel, error)
+
+
+def unexplained(recording: Recording, channel: str, p: np.void) -> Array:
+    """Return what a prediction leaves of a channel's output, n samples, as it is compared."""
+    return compared(recording, channel, measured(recording, channel)
+                    - predict(recording, channel, p))
+
+
+def compared(recording: Recording, channel: str, signal: Array) -> Array:
+    """
+    Return a signal as its channel is compared: a motion in its band, any other as it is.
+
+    Above that band a mass rings when it begins or ends to slide, which the force does not show.
+    """
     if channel not in MOTIONS or recording.motion is None:
-        return error
-    return judged(error, recording.motion)
+        return signal
+    return judged(signal, recording.motion)

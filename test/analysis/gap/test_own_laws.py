@@ -297,6 +297,18 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
     assert min(costs) < stiction.best.cost + 5.0
 
 
+@pytest.mark.slow
+def test_friction_whose_elements_slide_one_by_one_is_asymmetric():
+    """With asymmetry for Dahl's law alone, this was even friction of elements, with certainty."""
+    answer = diagnose([recorded(
+        friction__model='full', friction__coulomb=30.0, friction__stiction_push=30.0,
+        friction__stiction_pull=30.0, friction__presliding_stiffness=2.3e6,
+        friction__presliding_slip=0.17, friction__element_ratio=1.8,
+        friction__presliding_damping=630.0, friction__coulomb_asymmetry=0.57)], TEXTBOOK)
+    assert answer.verdict == ('friction_asymmetry',)
+    assert answer.joined[answer.verdict] > 0.9
+
+
 def test_friction_that_hardly_slides_is_a_spring():
     """By Dahl's law all of the motion slides a little; elements slide one after the other."""
     run = recorded()[:3000]
