@@ -17,7 +17,7 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import Found, at_values_of, freed_fields
 from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
 from asi_analysis.gap.model.simulator import FINAL_ERROR, different_substeps, with_corrections
 
@@ -195,36 +195,6 @@ def with_usual_parameters(found: Found) -> Found:
         share *= LIGHTER
         found = found.lighter(share, LIGHT_ROUNDS)
     return found
-
-
-def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
-    """
-    Return a hypothesis at the values of another fit for some fields.
-
-    With the integration error corrected as in that fit, if its sub-step is the same.
-    """
-    problem, best = found.problem, found.best._replace(slopes=None)
-    substeps = {float(each.problem.record(each.best.theta)['maximum_substep'])
-                for each in (found, other)}
-    if len(substeps) == 1:
-        problem = replace(problem, group=replace(
-            problem.group, recordings=other.problem.group.recordings))
-    found = found._replace(problem=problem, best=best)
-    return found.at(with_values_of(found, other, fields))
-
-
-def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:
-    """Return a fit's parameter vector with the values of another fit for some fields."""
-    values = other.problem.record(other.best.theta)
-    return np.array([found.problem.parameter(free).share(float(values[free.field]))
-                     if free.field in fields else share
-                     for free, share in zip(found.problem.free, found.best.theta, strict=True)])
-
-
-def freed_fields(found: Found) -> tuple[set[str], set[str]]:
-    """Return the fields that are free in a fit, and those among them of its last effect."""
-    return ({free.field for free in found.problem.free},
-            {free.field for variant in found.variants[-1:] for free in variant.free})
 
 
 def columns_of(problem: Posterior, jacobian: Array) -> dict[str, Array]:

@@ -14,10 +14,10 @@ from asi_analysis.gap.formulation import (
     with_usual_shapes,
 )
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import FAR, mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import Found, at_values_of, freed_fields
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit whose log posterior is farther below the best is given up; if that is so of the
@@ -137,19 +137,47 @@ def _sufficient(null: Found, enough: Array) -> tuple[Found, Found | None]:
 
 
 def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
-    """Return hypotheses, refitted; those that do not compete with the best are given up."""
-    first = min(found, key=lambda names: found[names].best.cost)
-    leader = found[first].refined()
+    """
+    Return hypotheses, refitted; those that do not compete with the best are given up.
+
+    The best one first. If another one becomes better, all may from its values: shapes of the laws
+    that one fit has found may serve every hypothesis.
+    """
+    best = _best(found)
+    fits = {**found, best: found[best].refined()}
+    fits |= _beside(fits, best)
+    while fits[better := _best(fits)].best.cost < fits[best].best.cost - GAIN:
+        best = better
+        fits |= _beside(fits, best, again=True)
+    return fits
+
+
+def _best(found: Mapping[Names, Found]) -> Names:
+    """Return the name of the hypothesis with the highest posterior."""
+    return min(found, key=lambda names: found[names].best.cost)
+
+
+def _beside(fits: Mapping[Names, Found], best: Names, again: bool = False) -> dict[Names, Found]:
+    """
+    Return the hypotheses other than the best one, refitted from its values if these cost less.
+
+    again: only from those, as the others are fits already.
+    """
+    leader = fits[best]
+    fields, own = freed_fields(leader)
     goal = goal_beside(leader)
 
     def refit(each: Found) -> Found:
-        alone = each._replace(problem=replace(each.problem, pool=None)).refined(
+        begun = min(each, *(at_values_of(each, leader, names) for names in (fields - own, fields)),
+                    key=lambda start: start.best.cost)
+        if again and begun is each:
+            return each
+        alone = begun._replace(problem=replace(begun.problem, pool=None)).refined(
             goal=goal, beside=leader.best.cost + COST_RANGE)
-        return alone._replace(problem=each.problem)
+        return alone._replace(problem=begun.problem)
 
-    others = {names: each for names, each in found.items() if names != first}
-    fits = leader.problem.in_parallel(refit, others.values())
-    return {first: leader} | dict(zip(others, fits, strict=True))
+    others = {names: each for names, each in fits.items() if names != best}
+    return dict(zip(others, leader.problem.in_parallel(refit, others.values()), strict=True))
 
 
 def goal_beside(leader: Found) -> float:

@@ -1,6 +1,7 @@
 """A fitted hypothesis: what it leaves, and how probable its nominal parameters are."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -157,3 +158,33 @@ class Found(NamedTuple):
         _, precision = self.problem.prior
         theta = np.where(precision > 0.0, self.problem.nominal, self.best.theta)
         return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))
+
+
+def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
+    """
+    Return a hypothesis at the values of another fit for some fields.
+
+    With the integration error corrected as in that fit, if its sub-step is the same.
+    """
+    problem, best = found.problem, found.best._replace(slopes=None)
+    substeps = {float(each.problem.record(each.best.theta)['maximum_substep'])
+                for each in (found, other)}
+    if len(substeps) == 1:
+        problem = replace(problem, group=replace(
+            problem.group, recordings=other.problem.group.recordings))
+    found = found._replace(problem=problem, best=best)
+    return found.at(with_values_of(found, other, fields))
+
+
+def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:
+    """Return a fit's parameter vector with the values of another fit for some fields."""
+    values = other.problem.record(other.best.theta)
+    return np.array([found.problem.parameter(free).share(float(values[free.field]))
+                     if free.field in fields else share
+                     for free, share in zip(found.problem.free, found.best.theta, strict=True)])
+
+
+def freed_fields(found: Found) -> tuple[set[str], set[str]]:
+    """Return the fields that are free in a fit, and those among them of its last effect."""
+    return ({free.field for free in found.problem.free},
+            {free.field for variant in found.variants[-1:] for free in variant.free})

@@ -36,15 +36,12 @@ from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
-    at_values_of,
     columns_of,
     converged,
-    freed_fields,
     is_coarse,
     with_noise_from_fit,
     with_noise_left,
     with_usual_parameters,
-    with_values_of,
 )
 from asi_analysis.gap.inference.simulated.formulation import (
     COST_RANGE,
@@ -53,7 +50,12 @@ from asi_analysis.gap.inference.simulated.formulation import (
     in_formulation,
     sufficient,
 )
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import (
+    Found,
+    at_values_of,
+    freed_fields,
+    with_values_of,
+)
 from asi_analysis.gap.inference.simulated.nominal_fit import (
     hides_an_effect,
     rough_null_fit,
@@ -69,11 +71,7 @@ from asi_analysis.gap.inference.simulated.special_cases import (
 )
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.group import (
-    OF_VALVE_GAIN,
-    VALVE_GAIN,
-    Group,
-)
+from asi_analysis.gap.model.group import OF_VALVE_GAIN, VALVE_GAIN, Group
 from asi_analysis.gap.model.simulator import metres_per_newton
 
 # The cost that a fit must reach beside the best one, of the same base, and the nominal model.

@@ -13,8 +13,8 @@ import numpy as np
 
 from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
-from asi_analysis.gap.inference.simulated.fits import converged, freed_fields, with_values_of
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.fits import converged
+from asi_analysis.gap.inference.simulated.found import Found, freed_fields, with_values_of
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.start import actuator_of
 
