@@ -33,10 +33,10 @@ from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.gap.prepare import first_of_recording
 from asi_analysis.parallel import cores
 
-# Finite differences, as shares of a parameter's range: the usual ones, and those where the cost is
-# rough (stick and slip). There the linearised problem promises more than ROUGH times what ends a
-# fit, and yet steps hardly help.
-STEP, WIDE_STEP, ROUGH = 1e-4, 1e-3, 20.0
+# Finite differences, as shares of a parameter's range: the usual ones; and, where the cost is
+# rough (stick and slip), WIDER times as wide, up to the widest. There the linearised problem
+# promises more than ROUGH times what ends a fit, and yet steps hardly help.
+STEP, WIDER, WIDEST_STEP, ROUGH = 1e-4, 10.0, 1e-2, 20.0
 ROUNDS = 12       # at most so many Jacobians are computed in a fit
 # Convergence: a round lowers the cost by less than GAIN plus CONVERGED times the cost.
 GAIN, CONVERGED = 0.05, 3e-4
@@ -147,21 +147,21 @@ class Posterior(Problem):
                         for channel in self.group.channels])
 
     def jacobian(self, theta: Array, known: Mapping[str, Array] = NONE,
-                 base: Array | None = None, size: float = STEP) -> Array:
+                 base: Array | None = None, size: float | Array = STEP) -> Array:
         """
         Return the Jacobian of the residual: samples by parameters, from finite differences.
 
         known: columns, by field, that are not computed again; base: the residual, if known;
-        size: of the differences, as a share of each range.
+        size: of the differences, as a share of each range, perhaps by parameter.
         """
         residual = self.residual(theta) if base is None else base
+        steps = np.where(theta < 0.5, size, -np.asarray(size))
 
         def column(number: int) -> Array:
             name = self.free[number].field
             if name in known:
                 return known[name]
-            moved = theta.copy()
-            step = size if theta[number] < 0.5 else -size
+            moved, step = theta.copy(), float(steps[number])
             moved[number] += step
             return (self._residual_of(self.record(moved)) - residual) / step
 
@@ -298,8 +298,8 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
         if not computed and abs(at.cost - without) < SLIGHT and least > without - SLIGHT:
             return at.best(slopes, computed)
         rounds -= 1
-        if ends and linear.most > ROUGH * enough and size == STEP:
-            ends, size = False, WIDE_STEP
+        if ends and linear.most > ROUGH * enough and size < WIDEST_STEP:
+            ends, size = False, WIDER * size
         if ends and rounds > 0:
             scanned = min((_Point.of(problem, theta) for theta in _scanned_memories(
                 problem, at.theta)), default=at, key=lambda point: point.cost)

@@ -1,9 +1,8 @@
 """The simulator as predictor: right on its own recordings, and silent about those that are not."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
-from asi_analysis.gap.inference.simulated import fits, formulation, search
+from asi_analysis.gap.inference.simulated import fits, search
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
@@ -819,46 +818,3 @@ def test_noise_that_is_zero_is_not_lowered_again():
     lower = with_lower_noise(group, {'valve': 0.0})
     size = np.sqrt(np.mean(measured(group.recordings[0], 'valve') ** 2))
     assert lower.noise['valve'] == pytest.approx(LEAST_ERROR * size, rel=0.05)
-
-
-@dataclass(frozen=True)
-class _Landscape:
-    """A problem whose cost is a table; a fit goes down to the left as long as it gets cheaper."""
-
-    cost: tuple[float, ...]
-    free: tuple[()] = ()
-    noise_cost: float = 0.0
-    pool: None = None
-
-    in_parallel = staticmethod(map)
-
-
-class _AtPlace(NamedTuple):
-    """A fit of a `_Landscape`, in place of a `Found`."""
-
-    names: tuple[str, ...]
-    problem: _Landscape
-    best: Best
-    variants: tuple[()] = ()
-
-    def at(self, place):
-        return self._replace(best=Best(place, self.problem.cost[place], np.zeros(0)))
-
-    def refined(self, goal=math.inf, beside=math.inf):
-        place = self.best.theta
-        while place and self.problem.cost[place - 1] < self.problem.cost[place]:
-            place -= 1
-        return self.at(place)
-
-
-def test_what_one_fit_finds_serves_all_others(monkeypatch):
-    """In laws of another form a healthy machine was an effect, as only that fit had found them."""
-    monkeypatch.setattr(formulation, 'at_values_of',
-                        lambda each, leader, fields: each.at(leader.best.theta))
-    found = {names: _AtPlace(names, _Landscape(cost), Best(0, 0.0, np.zeros(0))).at(4)
-             for names, cost in {
-                 (): (60.0, 65.0, 90.0, 87.0, 88.0), ('a',): (60.5, 61.0, 63.0, 70.0, 80.0),
-                 ('b',): (99.0, 99.0, 99.0, 71.0, 72.0)}.items()}
-    fits = formulation._refitted(found)
-    assert {names: each.best.cost for names, each in fits.items()} == {
-        (): 60.0, ('a',): 60.5, ('b',): 71.0}

@@ -19,11 +19,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
-from asi_analysis.gap.inference.posterior import (
-    ODDS_AGAINST,
-    mean_squares,
-    power,
-)
+from asi_analysis.gap.inference.posterior import ODDS_AGAINST, STEP, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
@@ -38,6 +34,7 @@ STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 
 # A parameter is at an end of its range within this share of it; the least curvature, for which
 # the posterior is uniform over the range.
 AT_END, LEAST_CURVATURE = 1e-6, 1e-3
+WIDEST = 0.03   # difference of a parameter, as a share of its range
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -239,17 +236,34 @@ def _log_volume(found: Found, noise: _Noise, left: Array) -> float:
     """
     problem, best = found.problem, found.best
     mean, precision = problem.prior
-    # An updated Jacobian is good enough for steps, but not for a volume.
-    slopes, rest = problem.split(problem.jacobian(best.theta, base=best.residual))
     residual, others = problem.split(best.residual)
-    weight = (noise.samples / slopes.shape[1] / power(problem.group) / noise.level
+    weight = (noise.samples / residual.shape[1] / power(problem.group) / noise.level
               * noise.weight(noise.excess(left)))
+    slopes, rest = problem.split(_slopes_of_mass(found, weight))
     weighted = weight[:, None, None] * slopes
     square = (np.einsum('cni,cnj->ij', weighted, slopes, optimize=True)
               + rest.T @ rest + np.diag(precision))
     slope = (np.einsum('cni,cn->i', weighted, residual) + rest.T @ others
              + precision * (best.theta - mean))
     return log_volume(square, slope, best.theta, precision)
+
+
+def _slopes_of_mass(found: Found, weight: Array) -> Array:
+    """
+    Return the Jacobian from differences as wide as the posterior is, by parameter.
+
+    Stick and slip makes the residual rough: narrower differences show jumps that do not matter,
+    as if each parameter were known far better than it is. weight: of each channel's samples.
+    """
+    problem, best = found.problem, found.best
+    widest = problem.jacobian(best.theta, base=best.residual, size=WIDEST)
+    slopes, rest = problem.split(widest)
+    square = (np.einsum('c,cni->i', weight, slopes ** 2) + np.sum(rest ** 2, axis=0)
+              + problem.prior[1])
+    width = 1.0 / np.sqrt(np.maximum(square, 1.0))
+    known = {free.field: column for free, column, own in zip(
+        problem.free, widest.T, width, strict=True) if own > 0.5 * WIDEST}
+    return problem.jacobian(best.theta, known, best.residual, np.maximum(width, STEP))
 
 
 def log_volume(square: Array, slope: Array, theta: Array, precision: Array) -> float:

@@ -1,6 +1,6 @@
 """Judge whether a machine obeys the simulator's own laws, or laws formulated in another way."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
@@ -25,6 +25,7 @@ NONE: Mapping[Names, Found] = MappingProxyType({})
 COST_RANGE = 50.0
 # A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
+RIVALS = 3   # from whose values the nominal model is fitted again
 HALVINGS = 8   # of the weight of the data, at most
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
@@ -140,44 +141,38 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
     """
     Return hypotheses, refitted; those that do not compete with the best are given up.
 
-    The best one first. If another one becomes better, all may from its values: shapes of the laws
-    that one fit has found may serve every hypothesis.
+    The best one first. Last the nominal model, from the values of its rivals too: shapes of the
+    laws that their fits have found may make the effects unnecessary.
     """
-    best = _best(found)
-    fits = {**found, best: found[best].refined()}
-    fits |= _beside(fits, best)
-    while fits[better := _best(fits)].best.cost < fits[best].best.cost - GAIN:
-        best = better
-        fits |= _beside(fits, best, again=True)
-    return fits
-
-
-def _best(found: Mapping[Names, Found]) -> Names:
-    """Return the name of the hypothesis with the highest posterior."""
-    return min(found, key=lambda names: found[names].best.cost)
-
-
-def _beside(fits: Mapping[Names, Found], best: Names, again: bool = False) -> dict[Names, Found]:
-    """
-    Return the hypotheses other than the best one, refitted from its values if these cost less.
-
-    again: only from those, as the others are fits already.
-    """
-    leader = fits[best]
-    fields, own = freed_fields(leader)
+    first = min(found, key=lambda names: found[names].best.cost)
+    leader = found[first].refined()
     goal = goal_beside(leader)
 
     def refit(each: Found) -> Found:
-        begun = min(each, *(at_values_of(each, leader, names) for names in (fields - own, fields)),
-                    key=lambda start: start.best.cost)
-        if again and begun is each:
-            return each
-        alone = begun._replace(problem=replace(begun.problem, pool=None)).refined(
+        alone = each._replace(problem=replace(each.problem, pool=None)).refined(
             goal=goal, beside=leader.best.cost + COST_RANGE)
-        return alone._replace(problem=begun.problem)
+        return alone._replace(problem=each.problem)
 
-    others = {names: each for names, each in fits.items() if names != best}
-    return dict(zip(others, leader.problem.in_parallel(refit, others.values()), strict=True))
+    others = {names: each for names, each in found.items() if names != first}
+    fits = leader.problem.in_parallel(refit, others.values())
+    refitted = {first: leader} | dict(zip(others, fits, strict=True))
+    return {**refitted, (): _least_from(refitted[()], sorted(
+        (each for names, each in refitted.items() if names), key=_cost)[:RIVALS])}
+
+
+def _least_from(null: Found, rivals: Sequence[Found]) -> Found:
+    """Return the nominal model, refitted from the values of rivals where that costs less."""
+    for rival in rivals:
+        if rival.best.cost < null.best.cost - GAIN:
+            fields, own = freed_fields(rival)
+            start = min((at_values_of(null, rival, given) for given in (fields - own, fields)),
+                        key=_cost)
+            null = min(null, start.refined(goal=null.best.cost), key=_cost)
+    return null
+
+
+def _cost(found: Found) -> float:
+    return found.best.cost
 
 
 def goal_beside(leader: Found) -> float:
