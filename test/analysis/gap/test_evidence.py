@@ -2,11 +2,13 @@
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from asi_analysis.gap.inference.simulated.evidence import log_volume
+from asi_analysis.gap.inference.posterior import Best, Posterior
+from asi_analysis.gap.inference.simulated.evidence import _slopes_of_mass, log_volume
 
 UNIFORM = np.zeros(2)
 
@@ -57,3 +59,38 @@ def test_volume_is_finite_and_no_larger_than_the_range():
         outward = np.array([slope, 0.0]) if theta == 0.0 else np.zeros(2)
         value = log_volume(square, outward, np.array([theta, 0.5]), UNIFORM)
         assert math.isfinite(value) and value < 1e-6
+
+
+class _Rough(Posterior):
+    """A residual that is linear in a parameter, and jumps by 1.4 noises wherever it moves."""
+
+    def __init__(self, rough, slope=100.0):
+        self.free, self.pool = (SimpleNamespace(field='stiffness'),), None
+        self.rough, self.slope = rough, slope
+
+    prior = np.zeros(1), np.zeros(1)
+
+    def record(self, theta):
+        return theta
+
+    def split(self, rows):
+        return rows[None], rows[:0]
+
+    def _residual_of(self, p):
+        at = np.random.default_rng(int(p[0] * 1e7)).standard_normal(2000)
+        return self.slope * (p[0] - 0.4) / math.sqrt(2000) + self.rough * at / math.sqrt(2000)
+
+
+@pytest.mark.parametrize('slope', [3.0, 100.0, 3000.0])
+def test_a_rough_cost_makes_no_parameter_sure(slope):
+    """A residual that jumps with each step of stick and slip, and one that does not."""
+    def width(rough):
+        problem, theta = _Rough(rough, slope), np.array([0.4])
+        found = SimpleNamespace(problem=problem, best=Best(theta, 0.0, problem.residual(theta)))
+        return 1.0 / np.linalg.norm(_slopes_of_mass(found, np.ones(1)))
+
+    assert width(0.0) == pytest.approx(1.0 / slope, rel=1e-6)
+    assert width(0.5) == pytest.approx(1.0 / slope, rel=0.4)
+    # As finite differences of a usual width have it.
+    problem, theta = _Rough(0.5), np.array([0.4])
+    assert np.linalg.norm(problem.jacobian(theta)) > 30.0 * 100.0

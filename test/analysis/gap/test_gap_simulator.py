@@ -621,7 +621,7 @@ def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(m
     run = recorded({**nominal, **machine}, duration_s=4.0)
     answered, = explained_by_simulator([simulator_group(
         simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
-    assert (answered.probability.get(('command_quantisation',), 0.0) > 0.9) == steps
+    assert (answered.probability.get(('command_quantisation',), 0.0) > 0.8) == steps
 
 
 def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():

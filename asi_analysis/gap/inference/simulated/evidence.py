@@ -34,7 +34,7 @@ STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 
 # A parameter is at an end of its range within this share of it; the least curvature, for which
 # the posterior is uniform over the range.
 AT_END, LEAST_CURVATURE = 1e-6, 1e-3
-WIDEST = 0.03   # difference of a parameter, as a share of its range
+WIDEST = 0.3   # difference of a parameter without a normal prior, as a share of its range
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -256,14 +256,16 @@ def _slopes_of_mass(found: Found, weight: Array) -> Array:
     as if each parameter were known far better than it is. weight: of each channel's samples.
     """
     problem, best = found.problem, found.best
-    widest = problem.jacobian(best.theta, base=best.residual, size=WIDEST)
-    slopes, rest = problem.split(widest)
+    precision = problem.prior[1]
+    before = 1.0 / np.sqrt(np.maximum(precision, WIDEST ** -2.0))   # as wide as the prior
+    coarse = problem.jacobian(best.theta, base=best.residual, size=before)
+    slopes, rest = problem.split(coarse)
     square = (np.einsum('c,cni->i', weight, slopes ** 2) + np.sum(rest ** 2, axis=0)
-              + problem.prior[1])
-    width = 1.0 / np.sqrt(np.maximum(square, 1.0))
-    known = {free.field: column for free, column, own in zip(
-        problem.free, widest.T, width, strict=True) if own > 0.5 * WIDEST}
-    return problem.jacobian(best.theta, known, best.residual, np.maximum(width, STEP))
+              + precision)
+    after = 1.0 / np.sqrt(np.where(np.isfinite(square), np.maximum(square, 1.0), np.inf))
+    known = {free.field: column for free, column, changed in zip(
+        problem.free, coarse.T, after < 0.5 * before, strict=True) if not changed}
+    return problem.jacobian(best.theta, known, best.residual, np.maximum(after, STEP))
 
 
 def log_volume(square: Array, slope: Array, theta: Array, precision: Array) -> float:
