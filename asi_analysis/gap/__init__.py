@@ -6,5 +6,5 @@ In the order of the data: `parts`, `sampling`, `motion` -> `prepare` (recordings
 effect is null by default) -> `inference` (fits and probabilities of the hypotheses) -> `findings`
 (where the gap lies, how far it shrinks) and `experiment` (what to record next) -> `diagnose` ->
 `answer` (document, report, export) -> `check` (on blind cases).
-How it works and where it fails: doc/explanation/gap.md.
+How it works: doc/explanation/gap_method.md; how often it is right: gap_check.md beside it.
 """

@@ -2,7 +2,7 @@
 Probabilities of hypotheses from the residuals of their fits.
 
 In two steps: how many effects there are, relative to the error floor; and which ones, relative to
-the noise with the effective sample size. See doc/explanation/gap.md.
+the noise with the effective sample size. See doc/explanation/gap_method.md.
 """
 
 import itertools

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import erfcx
 
-from asi_analysis.arrays import Array
+from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
-from asi_analysis.gap.inference.posterior import ODDS_AGAINST, STEP, mean_squares, power
+from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
@@ -34,7 +34,9 @@ STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 
 # A parameter is at an end of its range within this share of it; the least curvature, for which
 # the posterior is uniform over the range.
 AT_END, LEAST_CURVATURE = 1e-6, 1e-3
-WIDEST = 0.3   # difference of a parameter without a normal prior, as a share of its range
+# Differences for the volume: at first, of a parameter without a normal prior, as a share of its
+# range; then in standard deviations along the axes of the posterior, in so many passes.
+WIDEST, AXIS, PASSES = 0.3, 2.0, 2
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -239,33 +241,58 @@ def _log_volume(found: Found, noise: _Noise, left: Array) -> float:
     residual, others = problem.split(best.residual)
     weight = (noise.samples / residual.shape[1] / power(problem.group) / noise.level
               * noise.weight(noise.excess(left)))
-    slopes, rest = problem.split(_slopes_of_mass(found, weight))
-    weighted = weight[:, None, None] * slopes
-    square = (np.einsum('cni,cnj->ij', weighted, slopes, optimize=True)
-              + rest.T @ rest + np.diag(precision))
-    slope = (np.einsum('cni,cn->i', weighted, residual) + rest.T @ others
-             + precision * (best.theta - mean))
+    slopes = _slopes_of_mass(found, weight)
+    square = _square(problem, slopes, weight)
+    of_channels, rest = problem.split(slopes)
+    slope = (np.einsum('c,cni,cn->i', weight, of_channels, residual, optimize=True)
+             + rest.T @ others + precision * (best.theta - mean))
     return log_volume(square, slope, best.theta, precision)
 
 
 def _slopes_of_mass(found: Found, weight: Array) -> Array:
     """
-    Return the Jacobian from differences as wide as the posterior is, by parameter.
+    Return the Jacobian from differences as wide as the posterior is.
 
     Stick and slip makes the residual rough: narrower differences show jumps that do not matter,
-    as if each parameter were known far better than it is. weight: of each channel's samples.
+    as if each parameter were known far better than it is. First along each parameter, as wide as
+    its prior; then along the axes of the posterior. weight: of each channel's samples.
     """
     problem, best = found.problem, found.best
-    precision = problem.prior[1]
-    before = 1.0 / np.sqrt(np.maximum(precision, WIDEST ** -2.0))   # as wide as the prior
-    coarse = problem.jacobian(best.theta, base=best.residual, size=before)
-    slopes, rest = problem.split(coarse)
-    square = (np.einsum('c,cni->i', weight, slopes ** 2) + np.sum(rest ** 2, axis=0)
-              + precision)
-    after = 1.0 / np.sqrt(np.where(np.isfinite(square), np.maximum(square, 1.0), np.inf))
-    known = {free.field: column for free, column, changed in zip(
-        problem.free, coarse.T, after < 0.5 * before, strict=True) if not changed}
-    return problem.jacobian(best.theta, known, best.residual, np.maximum(after, STEP))
+    size = 1.0 / np.sqrt(np.maximum(problem.prior[1], WIDEST ** -2.0))
+    slopes = problem.jacobian(best.theta, base=best.residual, size=size)
+    within = np.minimum(best.theta, 1.0 - best.theta) >= AT_END
+    for _ in range(PASSES):
+        inner = _square(problem, slopes, weight)[np.ix_(within, within)]
+        slopes[:, within] = _along_axes(found, inner, within)
+    # At an end of its range a parameter goes one way alone.
+    square = np.diag(_square(problem, slopes, weight))
+    known = {free.field: column for free, column, inside in zip(
+        problem.free, slopes.T, within, strict=True) if inside}
+    return problem.jacobian(best.theta, known, best.residual,
+                            np.minimum(size, 1.0 / np.sqrt(np.maximum(square, 1.0))))
+
+
+def _along_axes(found: Found, square: Array, within: Mask) -> Array:
+    """Return the columns of the Jacobian from central differences along a posterior's axes."""
+    problem, theta = found.problem, found.best.theta
+    precision, axes = np.linalg.eigh(square)
+    reach = np.minimum(AXIS / np.sqrt(np.maximum(precision, 1.0)), WIDEST)
+
+    def along(number: int) -> Array:
+        step = np.zeros(theta.size)
+        step[within] = reach[number] * axes[:, number]
+        ahead, back = (problem.residual(np.clip(theta + way * step, 0.0, 1.0))
+                       for way in (1.0, -1.0))
+        return (ahead - back) / (2.0 * reach[number])
+
+    return np.array(list(problem.in_parallel(along, range(reach.size)))).T @ axes.T
+
+
+def _square(problem: Posterior, jacobian: Array, weight: Array) -> Array:
+    """Return the precision of the posterior, linearised; weight: of each channel's samples."""
+    slopes, rest = problem.split(jacobian)
+    return (np.einsum('c,cni,cnj->ij', weight, slopes, slopes, optimize=True)
+            + rest.T @ rest + np.diag(problem.prior[1]))
 
 
 def log_volume(square: Array, slope: Array, theta: Array, precision: Array) -> float:
