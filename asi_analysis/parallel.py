@@ -83,7 +83,7 @@ def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Itera
     are not batched: after a few quick ones, joblib would give sixteen slow ones to one process.
     joblib replaces a process that has grown by 300 MB, as compiled code may do, and says so.
     """
-    warnings.filterwarnings('ignore', 'A worker stopped while some jobs')
+    warnings.filterwarnings('ignore', 'A worker stopped while some jobs', UserWarning, 'joblib')
     with _interrupts_blocked():   # the call below starts the processes
         results = joblib.Parallel(return_as='generator', batch_size=1)(
             joblib.delayed(function)(*arguments) for arguments in work)

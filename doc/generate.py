@@ -22,6 +22,7 @@ sys.path.insert(0, str(ROOT))   # the packages that stand here, not installed on
 OPENED: Final = ('asi_common', 'asi_actuator', 'asi_controller', 'asi_analysis')
 PACKAGES: Final = (*OPENED, 'asi_examiner')
 PARTS: Final = {ROOT / 'doc/explanation/architecture.md': ('rooms', 'imports'),
+                ROOT / 'doc/explanation/gap.md': ('effects',),
                 ROOT / 'doc/reference/topics.md': ('topics',),
          ROOT / 'CONTRIBUTING.md': ('imports',)}
 
@@ -56,6 +57,14 @@ def topics_table() -> str:
     rows = [f'| `{topic.name}` | {topic.type} | {topic.publisher} | {topic.content} |'
             for topic in TOPICS.values() if topic.publisher]
     return '\n'.join(['| topic | type | from | content |', '|---|---|---|---|', *rows])
+
+
+def effects_table() -> str:
+    """Return the effects that a diagnosis may name as a Markdown table."""
+    from asi_actuator.model.effects import EFFECTS
+    rows = [f'| `{effect.name}` | {effect.block.replace("_", " ")} | {effect.description} |'
+            for effect in EFFECTS]
+    return '\n'.join(['| effect | block | in the real machine |', '|---|---|---|', *rows])
 
 
 def direct_imports() -> dict[str, set[str]]:
@@ -127,7 +136,8 @@ def with_parts(page: Path) -> str:
     return text
 
 
-WRITERS: Final = {'rooms': rooms_table, 'topics': topics_table, 'imports': import_diagram}
+WRITERS: Final = {'rooms': rooms_table, 'effects': effects_table, 'topics': topics_table,
+                  'imports': import_diagram}
 
 
 def commands_page() -> str:

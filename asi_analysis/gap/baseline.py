@@ -20,7 +20,7 @@ from asi_analysis.gap.inference.posterior import Posterior, most_probable
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import OF_A_RECORDING, UNKNOWN, Free, freed, of_recording
 from asi_analysis.gap.model.group import Group, Values
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import compared, measured, unexplained
 from asi_analysis.gap.prepare import Recording
 
 LEAST_SPREAD: Final = 1e-3    # of a parameter, relative
@@ -145,10 +145,9 @@ def _residual_power(fitted: Fitted, recording: Recording, channel: str
                     ) -> tuple[float, float, float]:
     """Return the mean square residual; as a share of the signal's mean square; in error floors."""
     used = recording.valid
-    real = measured(recording, channel)[used]
-    left = float(np.mean((real - predict(recording, channel, fitted.record)[used]) ** 2))
-    return (left, left / max(float(np.mean(real ** 2)), 1e-300),
-            left / fitted.problem.group.error_floor[channel])
+    left = float(np.mean(unexplained(recording, channel, fitted.record)[used] ** 2))
+    size = float(np.mean(compared(recording, channel, measured(recording, channel))[used] ** 2))
+    return left, left / max(size, 1e-300), left / fitted.problem.group.judged_floor(channel)
 
 
 def shares(machine: Mapping[tuple[str, ...], Healthy]) -> Values:
@@ -192,11 +191,12 @@ def against(group: Group, machine: Mapping[tuple[str, ...], Healthy]) -> Group:
     noise, floor, before = {}, {}, healthy.fitted.problem.group
     for channel, level in group.noise.items():
         noise[channel] = max(level, before.noise[channel])
-        power = float(np.mean([np.mean(measured(r, channel)[r.valid] ** 2)
+        power = float(np.mean([np.mean(compared(r, channel, measured(r, channel))[r.valid] ** 2)
                               for r in group.recordings]))
+        band = group.band(channel)
         general = _measured_floor(group.error_floor[channel], level, healthy.over_floor[channel])
-        floor[channel] = max(general - level ** 2 + noise[channel] ** 2, healthy.left[channel],
-                             healthy.share[channel] * power)
+        floor[channel] = max(general - level ** 2 + noise[channel] ** 2,
+                             healthy.left[channel] / band, healthy.share[channel] * power / band)
     effects = freed(group.effects, lambda frees: tuple(map(_with_near_starts, frees)))
     return replace(group, nominal=nominal, given=None, nuisance=(*kept, *known), noise=noise,
                    error_floor=floor, effects=effects, floor_measured=True,
@@ -293,7 +293,8 @@ def _doubt_of_rest(healthy: Healthy) -> tuple[float, list[str]]:
     It fails if much of the healthy machine's signal is neither explained nor noise.
     """
     before = healthy.fitted.problem.group
-    beyond = max((healthy.share[channel] * max(1.0 - before.noise[channel] ** 2 / left, 0.0)
+    beyond = max((healthy.share[channel] * max(
+        1.0 - before.band(channel) * before.noise[channel] ** 2 / left, 0.0)
                   for channel, left in healthy.left.items() if left > 0.0), default=0.0)
     if beyond < POOR:
         return 0.0, []

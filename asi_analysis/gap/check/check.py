@@ -70,28 +70,34 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
 
 
 def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
-    """Return the diagnosis of one case, without its answer."""
+    """Return the diagnosis of one case, without its answer; `warnings`: what it warned of."""
     started = time.process_time()
-    try:
-        names = (entry['bag'], *entry.get('more', ()))
-        plant = entry.get('plant', 'actuator')
-        model = nominal_model(folder / entry['model']) if entry.get('model') else {}
-        with warnings.catch_warnings():   # of each case by itself, not of the check
-            warnings.simplefilter('ignore', InputWarning)
-            diagnosis = diagnose([read_bag(folder / name) for name in names], model, plant)
-        answer = plain(document(diagnosis))
-        row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
-                                            'ambiguity_set', 'gap', 'channels')}
-        row['seconds'] = time.process_time() - started
-        row['evidence'] = [as_plain(evidence_of(w.group, w.candidates))
-                           for w in diagnosis.groups]
-        if 'fresh' in entry:
-            row['fresh_shrink'] = fresh_shrink(diagnosis, read_bag(folder / entry['fresh']))
-    except InputError as error:
-        row = {'verdict': 'refused', 'probability': 0.0, 'where': [], 'which': [],
-               'ambiguity_set': [], 'gap': None, 'why': str(error),
-               'seconds': time.process_time() - started}
-    return {'bag': entry['bag'], **row}
+    with warnings.catch_warnings(record=True) as found:   # of this case, not of the check
+        warnings.simplefilter('always', InputWarning)
+        try:
+            row = _diagnosed(folder, entry)
+        except InputError as error:
+            row = {'verdict': 'refused', 'probability': 0.0, 'where': [], 'which': [],
+                   'ambiguity_set': [], 'gap': None, 'why': str(error)}
+    return {'bag': entry['bag'], **row, 'warnings': [str(each.message) for each in found],
+            'seconds': row.get('seconds', time.process_time() - started)}
+
+
+def _diagnosed(folder: Path, entry: Mapping[str, Any]) -> Row:
+    """Return the diagnosis of a case."""
+    started = time.process_time()
+    names = (entry['bag'], *entry.get('more', ()))
+    plant = entry.get('plant', 'actuator')
+    model = nominal_model(folder / entry['model']) if entry.get('model') else {}
+    diagnosis = diagnose([read_bag(folder / name) for name in names], model, plant)
+    answer = plain(document(diagnosis))
+    row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
+                                        'ambiguity_set', 'gap', 'channels')}
+    row['seconds'] = time.process_time() - started
+    row['evidence'] = [as_plain(evidence_of(w.group, w.candidates)) for w in diagnosis.groups]
+    if 'fresh' in entry:
+        row['fresh_shrink'] = fresh_shrink(diagnosis, read_bag(folder / entry['fresh']))
+    return row
 
 
 def run_cases(folder: Path, progress: Progress) -> list[Row]:

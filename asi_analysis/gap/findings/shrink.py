@@ -76,7 +76,7 @@ def shrink_of(group: Group, channel: str, refitted: np.void, after: np.void,
     rms = {name: math.sqrt(float(error.mean())) for name, error in errors.items()}
     edge = max((r.motion.edge_hz for r in group.recordings if r.motion), default=None) if (
         channel in MOTIONS) else None
-    floor = group.noise[channel] * math.sqrt(group.judged_share.get(channel, 1.0))
+    floor = group.noise[channel] * math.sqrt(group.band(channel))
     if rms['nominal'] ** 2 <= group.judged_floor(channel) - floor ** 2:
         # Below the model error that any model has: there is no gap that could shrink.
         return Shrink(channel, rms['nominal'] / size, rms['refitted'] / size, rms['after'] / size,

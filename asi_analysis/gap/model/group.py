@@ -115,9 +115,13 @@ class Group:
     other_shapes: tuple[Free, ...] = ()   # free as well if the laws are formulated in another way
     passes: int = 0    # of the input of a static characteristic, in one direction
 
+    def band(self, channel: str) -> float:
+        """Return the share of white noise's power in the band in which a channel is compared."""
+        return self.judged_share.get(channel, 1.0)
+
     def judged_floor(self, channel: str) -> float:
-        """Return the error floor (mean square) of a channel within the band of its residual."""
-        return self.error_floor[channel] * self.judged_share.get(channel, 1.0)
+        """Return the error floor (mean square) of a channel in that band."""
+        return self.error_floor[channel] * self.band(channel)
 
     @property
     def held_out_s(self) -> float:

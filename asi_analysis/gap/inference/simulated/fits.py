@@ -16,8 +16,12 @@ from asi_analysis.gap.inference.posterior import (
     most_probable,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
-from asi_analysis.gap.inference.simulated.found import Found, at_values_of, freed_fields
+from asi_analysis.gap.inference.simulated.found import (
+    COST_RANGE,
+    Found,
+    at_values_of,
+    freed_fields,
+)
 from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
 from asi_analysis.gap.model.simulator import FINAL_ERROR, different_substeps, with_corrections
 

@@ -17,12 +17,15 @@ from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
-from asi_analysis.gap.inference.simulated.found import Found, at_values_of, freed_fields
+from asi_analysis.gap.inference.simulated.fits import converged
+from asi_analysis.gap.inference.simulated.found import (
+    COST_RANGE,
+    Found,
+    at_values_of,
+    freed_fields,
+)
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
-# A fit whose log posterior is farther below the best is given up; if that is so of the
-# simulator's own laws, the machine's are formulated in another way.
-COST_RANGE = 50.0
 # A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
 RIVALS = 3   # from whose values the nominal model is fitted again
@@ -167,7 +170,8 @@ def _least_from(null: Found, rivals: Sequence[Found]) -> Found:
             fields, own = freed_fields(rival)
             start = min((at_values_of(null, rival, given) for given in (fields - own, fields)),
                         key=_cost)
-            null = min(null, start.refined(goal=null.best.cost), key=_cost)
+            # The start was simulated with another correction of the integration error.
+            null = min(null, converged(start.refined(goal=null.best.cost)), key=_cost)
     return null
 
 

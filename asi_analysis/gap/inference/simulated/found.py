@@ -27,6 +27,9 @@ from asi_analysis.gap.model.simulator import VALVE_ERROR
 # noise variance: it is estimated from fourth differences, and three standard errors of it are
 # about NOISE_ERROR over the square root of the number of samples.
 MARGIN, NOISE_ERROR = 1.1, 10.0
+# A fit whose log posterior is farther below the best is given up; if that is so of the
+# simulator's own laws, the machine's are formulated in another way.
+COST_RANGE = 50.0
 
 
 class Found(NamedTuple):

@@ -44,13 +44,13 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_usual_parameters,
 )
 from asi_analysis.gap.inference.simulated.formulation import (
-    COST_RANGE,
     goal_beside,
     in_best_formulation,
     in_formulation,
     sufficient,
 )
 from asi_analysis.gap.inference.simulated.found import (
+    COST_RANGE,
     Found,
     at_values_of,
     freed_fields,

@@ -27,8 +27,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_fine_substeps,
     with_usual_parameters,
 )
-from asi_analysis.gap.inference.simulated.formulation import COST_RANGE
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import COST_RANGE, Found
 from asi_analysis.gap.model.effects import Effect
 from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.model.simulator import DELAYS, SPREAD, of_simulator, pulse_response
