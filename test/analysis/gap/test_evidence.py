@@ -108,3 +108,21 @@ def test_a_rough_cost_makes_no_parameter_sure(count, correlation, rough, curved)
     assert problem.volume(_slopes_of_mass(found, np.ones(1))) == pytest.approx(exact, abs=0.5)
     if rough:   # usual differences see the jumps alone
         assert problem.volume(problem.jacobian(theta)) < exact - 3.0 * count
+
+
+class _Bounded(_Rough):
+    """One that overflows where the first parameter is more than a little larger."""
+
+    def _residual_of(self, p):
+        return super()._residual_of(p) * (math.inf if p[0] > 0.5 else 1.0)
+
+
+@pytest.mark.parametrize('slope', [100.0, 10.0])
+def test_where_no_plant_is_possible_the_volume_is_that_of_narrow_differences(slope):
+    """Further away than the prior allows, or within it."""
+    problem = _Bounded(3, 0.9, 0.0, 0.0, slope)
+    theta = problem.middle
+    found = SimpleNamespace(problem=problem, best=Best(theta, 0.0, problem.residual(theta)))
+    exact = problem.volume(problem.slopes)
+    with np.errstate(invalid='ignore'):
+        assert problem.volume(_slopes_of_mass(found, np.ones(1))) == pytest.approx(exact, abs=0.1)

@@ -260,22 +260,32 @@ def _slopes_of_mass(found: Found, weight: Array) -> Array:
     problem, best = found.problem, found.best
     size = 1.0 / np.sqrt(np.maximum(problem.prior[1], WIDEST ** -2.0))
     slopes = problem.jacobian(best.theta, base=best.residual, size=size)
+    finite: Mask = np.isfinite(slopes.sum(axis=0))
+    if not finite.all():   # so far away no plant is possible
+        slopes = problem.jacobian(best.theta, _columns(problem, slopes, finite), best.residual)
     within = np.minimum(best.theta, 1.0 - best.theta) >= AT_END
     for _ in range(PASSES):
-        inner = _square(problem, slopes, weight)[np.ix_(within, within)]
-        slopes[:, within] = _along_axes(found, inner, within)
+        slopes[:, within] = _along_axes(found, slopes, weight, within)
     # At an end of its range a parameter goes one way alone.
     square = np.diag(_square(problem, slopes, weight))
-    known = {free.field: column for free, column, inside in zip(
-        problem.free, slopes.T, within, strict=True) if inside}
-    return problem.jacobian(best.theta, known, best.residual,
+    return problem.jacobian(best.theta, _columns(problem, slopes, within), best.residual,
                             np.minimum(size, 1.0 / np.sqrt(np.maximum(square, 1.0))))
 
 
-def _along_axes(found: Found, square: Array, within: Mask) -> Array:
-    """Return the columns of the Jacobian from central differences along a posterior's axes."""
+def _columns(problem: Posterior, slopes: Array, chosen: Mask) -> dict[str, Array]:
+    """Return the chosen columns of a Jacobian, by field."""
+    return {free.field: column for free, column, known in zip(
+        problem.free, slopes.T, chosen, strict=True) if known}
+
+
+def _along_axes(found: Found, slopes: Array, weight: Array, within: Mask) -> Array:
+    """
+    Return columns of the Jacobian from central differences along the axes of the posterior.
+
+    slopes: the Jacobian that gives these axes; within: the columns, of parameters off their ends.
+    """
     problem, theta = found.problem, found.best.theta
-    precision, axes = np.linalg.eigh(square)
+    precision, axes = np.linalg.eigh(_square(problem, slopes, weight)[np.ix_(within, within)])
     reach = np.minimum(AXIS / np.sqrt(np.maximum(precision, 1.0)), WIDEST)
 
     def along(number: int) -> Array:
@@ -283,7 +293,8 @@ def _along_axes(found: Found, square: Array, within: Mask) -> Array:
         step[within] = reach[number] * axes[:, number]
         ahead, back = (problem.residual(np.clip(theta + way * step, 0.0, 1.0))
                        for way in (1.0, -1.0))
-        return (ahead - back) / (2.0 * reach[number])
+        change = (ahead - back) / (2.0 * reach[number])
+        return change if np.isfinite(change).all() else slopes[:, within] @ axes[:, number]
 
     return np.array(list(problem.in_parallel(along, range(reach.size)))).T @ axes.T
 
