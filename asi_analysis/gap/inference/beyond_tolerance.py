@@ -18,7 +18,7 @@ LEAST_PROBABILITY = 0.01   # of a hypothesis that is judged
 # With others, a value just beyond the tolerance may be due to them.
 OWN_LAWS = 0.6
 # Probability that a parameter at the edge, within TOLERANCE_FACTOR tolerances, is meant, and not
-# other ones, or a gain of the sensor, within their own.
+# other laws, or (linear nominal models, where it is exact) a gain of the sensor within its own.
 AT_EDGE = 0.4
 
 
@@ -34,6 +34,8 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
     group = weighed.group
     shown = any(group.other_error[channel] > group.error_floor[channel]
                 for channel in group.channels)
+    # Then all else that could be meant is free within its own tolerance.
+    own_laws = group.may_differ and shown and not group.other_formulation
     chance, candidates = dict(weighed.probability), dict(weighed.candidates)
     for names, candidate in weighed.candidates.items():
         if weighed.probability[names] < LEAST_PROBABILITY:
@@ -42,7 +44,7 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
         if not more:
             continue
         share = OWN_LAWS if group.may_differ and not shown else 1.0
-        if more != _beyond(weighed, names, TOLERANCE_FACTOR):
+        if not own_laws and more != _beyond(weighed, names, TOLERANCE_FACTOR):
             share = AT_EDGE
         if len(more) > MOST_PARAMETERS:
             if names:
