@@ -126,7 +126,9 @@ def unit_of_free(free: Free, channel: str, run: Run, plant: str) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent, with three significant digits."""
+    """Return a share in per cent, with three significant digits; 0 only if it is."""
+    if 0.0 < share < 5e-6:
+        return 'below 0.001 %'
     return f'{round(100.0 * share, 3):.3g} %'
 
 

@@ -26,7 +26,7 @@ from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
 from asi_analysis.gap.model.effects import BY_NAME
-from asi_analysis.gap.words import between, in_words, sentences, unit_of, with_id
+from asi_analysis.gap.words import between, in_words, percent, sentences, unit_of, with_id
 
 
 def weighed_pair(run: Run, forms: dict[str, int]) -> Weighed:
@@ -156,6 +156,11 @@ def test_an_error_that_rises_is_not_said_to_fall():
     answer = answer_of('coulomb_friction')
     answer['gap'] = {**answer['gap'], 'after_nrmse': 0.902, 'shrink': 0.0}   # type: ignore
     assert 'stays at 90.2 %' in ' '.join(sentences(answer))
+
+
+def test_only_no_error_is_said_to_be_none():
+    assert [percent(share) for share in (0.0, 1e-9, 4e-6, 6e-6, 0.0968)] == [
+        '0 %', 'below 0.001 %', 'below 0.001 %', '0.001 %', '9.68 %']
 
 
 @pytest.mark.parametrize(('change', 'begins'), [

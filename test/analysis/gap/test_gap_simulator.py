@@ -1,8 +1,9 @@
 """The simulator as predictor: right on its own recordings, and silent about those that are not."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,11 +23,12 @@ from asi_analysis.errors import InputWarning
 from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.baseline import against, healthy_of
 from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.findings.shrink import shrink_of
 from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
-from asi_analysis.gap.inference.simulated import fits, search
+from asi_analysis.gap.inference.simulated import fits, formulation, search
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
@@ -819,3 +821,71 @@ def test_noise_that_is_zero_is_not_lowered_again():
     lower = with_lower_noise(group, {'valve': 0.0})
     size = np.sqrt(np.mean(measured(group.recordings[0], 'valve') ** 2))
     assert lower.noise['valve'] == pytest.approx(LEAST_ERROR * size, rel=0.05)
+
+
+def test_errors_of_a_motion_are_told_in_the_band_in_which_it_is_compared():
+    """What rings above it changes no verdict, nor what is reported of it."""
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal)
+    group = simulator_group(simulator.simulator_record(nominal), prepared([run]), CHANNELS)
+    edge = group.recordings[0].motion.edge_hz
+    ringing = 0.2 * np.std(run.velocity_m_s) * np.sin(2.0 * math.pi * 300.0 * run.time_s)
+    other = replace(group, recordings=[replace(
+        each, raw_velocity=each.raw_velocity + ringing) for each in group.recordings])
+    assert edge < 150.0
+    changed = group.nominal.copy()
+    changed['load_mass'] *= 1.3
+
+    def shrink(of):
+        return shrink_of(of, 'velocity', changed, changed, False)
+
+    assert shrink(group).edge_hz == edge and shrink_of(
+        group, 'force', changed, changed, False).edge_hz is None
+    for name in 'nominal', 'refitted', 'noise_floor':
+        assert getattr(shrink(other), name) == pytest.approx(getattr(shrink(group), name),
+                                                             rel=0.01), name
+    assert shrink(other).nominal < 0.02   # ringing is 0.2 of it
+
+
+@dataclass(frozen=True)
+class _Landscape:
+    """A problem whose cost is a table; a fit goes down to the left as long as it gets cheaper."""
+
+    cost: tuple[float, ...]
+    free: tuple[()] = ()
+    noise_cost: float = 0.0
+    pool: None = None
+
+    in_parallel = staticmethod(map)
+
+
+class _AtPlace(NamedTuple):
+    """A fit of a `_Landscape`, in place of a `Found`."""
+
+    names: tuple[str, ...]
+    problem: _Landscape
+    best: Best
+    variants: tuple[()] = ()
+
+    def at(self, place):
+        return self._replace(best=Best(place, self.problem.cost[place], np.zeros(0)))
+
+    def refined(self, goal=math.inf, beside=math.inf):
+        place = self.best.theta
+        while place and self.problem.cost[place - 1] < self.problem.cost[place]:
+            place -= 1
+        return self.at(place)
+
+
+def test_the_nominal_model_is_fitted_from_what_its_rivals_have_found(monkeypatch):
+    """In laws of another form a healthy machine was an effect: only its fit had found them."""
+    monkeypatch.setattr(formulation, 'at_values_of',
+                        lambda each, leader, fields: each.at(leader.best.theta))
+    monkeypatch.setattr(formulation, 'converged', lambda found: found)
+    found = {names: _AtPlace(names, _Landscape(cost), Best(0, 0.0, np.zeros(0))).at(4)
+             for names, cost in {
+                 (): (60.0, 65.0, 90.0, 87.0, 88.0), ('a',): (99.0, 61.0, 63.0, 70.0, 80.0),
+                 ('b',): (99.0, 99.0, 99.0, 71.0, 72.0)}.items()}
+    fits = formulation._refitted(found)
+    assert {names: each.best.cost for names, each in fits.items()} == {
+        (): 60.0, ('a',): 61.0, ('b',): 71.0}
