@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import asi_analysis.gap
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import ACTUATOR_PARAMETERS, as_record
 from asi_analysis.bags.run import Run
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
@@ -571,6 +572,23 @@ def test_interrupted_check_continues(tmp_path, monkeypatch):
         ('a', 'no_gap'), ('b', 'unknown'), ('c', 'unknown')]
     lines = rows_file.read_text().splitlines()
     assert [json.loads(line)['bag'] for line in lines] == ['a', 'b', 'c']
+
+
+@pytest.mark.parametrize('refused', [False, True])
+def test_what_a_case_warns_of_is_in_its_row(tmp_path, monkeypatch, refused):
+    """Not in the terminal, where nobody knows which of the cases is meant."""
+    def diagnosed(folder, entry):
+        warnings.warn('the clock jumps', InputWarning, stacklevel=2)
+        if refused:
+            raise InputError('no excitation')
+        return {'verdict': 'no_gap', 'seconds': 1.0}
+
+    monkeypatch.setattr(check, '_diagnosed', diagnosed)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        row = check.examine(tmp_path, {'bag': 'a'})
+    assert (row['bag'], row['verdict']) == ('a', 'refused' if refused else 'no_gap')
+    assert row['warnings'] == ['the clock jumps']
 
 
 def test_interrupted_writing_of_cases_continues(tmp_path, monkeypatch):
