@@ -201,16 +201,21 @@ def test_the_unchanged_simulator_has_no_gap():
         assert answer['unknown_probability'] < 0.2
 
 
+def is_within_interval(answer, field, value):
+    """Return whether a size is in its interval, and that is narrower than the tolerance, 20 %."""
+    low, high = (answer['which'][0][f'parameters_{end}'][field] for end in ('low', 'high'))
+    return low < value < high < 1.2 / 0.8 * low
+
+
 @pytest.mark.slow
 def test_thrust_is_told_from_the_gain_of_the_valve_with_its_size():
     nominal = {'load.type': 'spring'}
     answer = document(diagnose(
         [recorded({**nominal, 'valve_characteristic.maximum_force': 600.0})], nominal))
     assert answer['verdict'] == 'parameter:valve_characteristic.maximum_force'
-    # The gain and the full opening, which act as the thrust does, may be off by 20 %.
-    low, high = (answer['which'][0][f'parameters_{end}']['valve_characteristic_maximum_force']
-                 for end in ('low', 'high'))
-    assert low < 600.0 < high < 1.2 * low
+    # Only its products with others that may be off by 20 % are seen: gain and full opening of the
+    # valve, gain of the sensor.
+    assert is_within_interval(answer, 'valve_characteristic_maximum_force', 600.0)
 
 
 @pytest.mark.slow
@@ -242,7 +247,7 @@ def test_viscous_friction_behind_the_sensor_is_named_and_a_damper_that_is_off(da
     nominal = {'load.type': 'spring'}
     answer = document(diagnose([recorded({**nominal, 'load.damping': damping})], nominal))
     assert answer['verdict'] == verdict
-    assert answer['which'][0]['parameters']['load_damping'] == pytest.approx(damping, rel=0.05)
+    assert is_within_interval(answer, 'load_damping', damping)
 
 
 BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
@@ -651,7 +656,8 @@ def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     assert answer['verdict'] == 'parameter:valve_characteristic.gain'
     assert answer['probability'] > 0.9 and answer['no_gap_probability'] == 0.0
     assert answer['at_limit'] == []
-    assert 'valve_characteristic.gain is 1.41 times nominal' in sentences(answer)[0]
+    assert is_within_interval(answer, 'valve_characteristic_gain', 1.41)
+    assert 'valve_characteristic.gain is 1.4' in sentences(answer)[0]
     within = document(diagnose([run], nominal, tolerances={'valve_characteristic.gain': 0.6}))
     assert within['verdict'] == 'no_gap'
 
