@@ -189,7 +189,7 @@ FORMS: dict[str, tuple[Variant, ...]] = {
     'load_compliance': (
         _form(MOVED, Free('coupling_stiffness', 1e-3, 1000.0, (15.0, 3.0, 0.6, 0.1), 'stiffness',
                           'N/m'),
-              Free('coupling_damping', 0.0, 2.0, (0.02,), 'damping', 'N s/m'),
+              Free('coupling_damping', 0.0, 2.0, (0.02,), 'coupling', 'N s/m'),
               Free('coupling_piston_share', 0.02, 0.98, (0.3, 0.7))),
     ),
     'disturbance_force': (

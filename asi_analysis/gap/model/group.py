@@ -216,8 +216,9 @@ def simulator_group(nominal: np.void, recordings: Sequence[Recording], channels:
     if 'force' in channels:
         scale = with_motion(scale, recordings, p)
     scale = with_valve_force(scale, nominal)
-    # The unit of a coupling's stiffness: with it the load's mass oscillates at 100 Hz.
-    scale |= {'stiffness': float(nominal['load_mass']) * (200.0 * math.pi) ** 2,
+    # The units of a coupling: with them the load's mass oscillates at 100 Hz, damped critically.
+    mass, pulsation = float(nominal['load_mass']), 200.0 * math.pi
+    scale |= {'stiffness': mass * pulsation ** 2, 'coupling': 2.0 * mass * pulsation,
               'inverse_force': 1.0 / scale['force']}
     noise = {channel: max(_judged_noise(recording, channel, p) for recording in recordings)
              for channel in channels}

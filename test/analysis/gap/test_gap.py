@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -427,6 +428,25 @@ def test_force_slightly_before_its_input_is_a_warning():
     groups, _ = actuator_groups([_late(recorded(), -10)], TEXTBOOK, 0.2, [False])
     notes = [note for group in groups for note in plausibility.check_against_model(group)]
     assert notes and all('early by' in note and 'clocks of force' in note for note in notes)
+
+
+def test_parameters_within_their_tolerance_are_no_clock_that_differs():
+    """Of a well damped cylinder, the force is a small difference of thrust and damping."""
+    model = {'load.type': 'spring', 'hydraulic_damping.viscous': 1540.0, 'load.damping': 50.0,
+             'load.mass': 0.43, 'load.stiffness': 8e4, 'valve_flexure.coil_frequency': 61.0,
+             'valve_characteristic.full_opening': 5e-6, 'valve_characteristic.gain': 0.434}
+    rng = np.random.default_rng(3)
+    command = 120.0 * np.repeat(rng.choice([-1.0, 1.0], 200), 20)
+    real = simulate(as_record({**model, 'valve_characteristic.maximum_force': 1190.0,
+                               'hydraulic_damping.viscous': 0.81 * 1540.0}), command, 1e-3)
+    noise = {'force_n': 1.0, 'valve_position_m': 1e-8, 'position_m': 1e-6, 'velocity_m_s': 5e-4}
+    run = Run(np.arange(4000) * 1e-3, command_n=command, source='real', **{
+        name: getattr(real, name) + level * rng.standard_normal(4000)
+        for name, level in noise.items()})
+    for shift, words in ((0, None), (-20, 'force.*early by')):
+        (_, group, *_), _ = actuator_groups([_late(run, shift)], model, 0.2, [False])
+        with pytest.raises(InputError, match=words) if words else nullcontext():
+            plausibility.check_against_model(group)
 
 
 def test_unknown_parameter_of_the_model_is_a_warning(tmp_path):

@@ -14,7 +14,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.diagnose import diagnose, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
-from asi_analysis.gap.inference.posterior import Best, Posterior
+from asi_analysis.gap.inference.posterior import Best, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import uneven_delay
 from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
 from asi_analysis.gap.inference.simulated.found import Found
@@ -23,6 +23,7 @@ from asi_analysis.gap.inference.simulated.own_laws import _goal
 from asi_analysis.gap.inference.simulated.special_cases import (
     from_values_of,
     never_slides,
+    simpler_forms,
     special_cases,
 )
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
@@ -295,6 +296,33 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
     # Cylinder or behind the sensor: only in the right place it explains as much.
     costs = [from_values_of(stiction, each, math.inf).best.cost for each in special]
     assert min(costs) < stiction.best.cost + 5.0
+
+
+def test_a_lag_of_two_poles_is_compared_as_one_of_one_pole_too():
+    """What is free without need costs an effect probability beside one of fewer parameters."""
+    run = recorded(valve_flexure__lag_time=0.004)[:1500]
+    group = simulator_group(simulator_record(REAL), prepare([run]), ('valve',), linear=True)
+    one, two, _ = FORMS['valve_lag']
+    problem = Posterior(group, (*group.nuisance, *two.free))
+    best = most_probable(problem, problem.nominal)
+    simpler, = simpler_forms(Found(('valve_lag',), (two,), problem, best))
+    assert simpler.variants == (one,) and simpler.names == ('valve_lag',)
+    assert {free.field for free in simpler.problem.free} == {
+        free.field for free in problem.free} - {'valve_flexure_second_lag_time'}
+    assert simpler.best.cost < best.cost + 5.0
+
+
+def test_a_nominal_parameter_that_a_simpler_form_does_not_free_has_its_prior_again():
+    group = simulator_group(simulator_record({'load.type': 'spring'}), prepare(
+        [recorded()[:1000]]), ('force', 'velocity'))
+    _, two, *_ = FORMS['stiction']
+    problem = Posterior(group, (*(free for free in group.nuisance if free.field not in {
+        each.field for each in two.free}), *two.free))
+    theta = problem.nominal
+    simpler = next(simpler_forms(Found(('stiction',), (two,), problem, Best(
+        theta, problem.cost(theta), problem.residual(theta)))))
+    pull, = (free for free in simpler.problem.free if free.field == 'friction_stiction_pull')
+    assert pull.prior < math.inf
 
 
 @pytest.mark.slow

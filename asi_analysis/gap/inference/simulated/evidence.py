@@ -22,6 +22,7 @@ from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.special_cases import simpler_forms
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
 from asi_common.record import field_name
@@ -91,6 +92,8 @@ def weigh(group: Group, found: Mapping[Names, Found]
     near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
             if value(each) > highest - NEGLIGIBLE]
     near += [more for each in near for more in with_improbable_named(each)]
+    if equal is not exact:   # then more parameters, which cost a form probability, may gain none
+        near += [simpler for each in near for simpler in simpler_forms(each)]
     highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
     for each in near:

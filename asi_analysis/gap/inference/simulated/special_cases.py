@@ -6,7 +6,7 @@ it may end in a local minimum; then the more general hypothesis would be the mor
 Friction whose seals are too soft to slide is a spring, which imitates other effects.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +33,26 @@ def alone_of(null: Found, found: Found, variant: Variant) -> Found:
                       for free in problem.free])
     name, = (effect.name for effect in problem.group.effects if variant in effect.variants)
     return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
+
+
+def simpler_forms(found: Found) -> Iterator[Found]:
+    """Yield fits of the last effect in forms with fewer free parameters, of those that it has."""
+    if not found.names:
+        return
+    problem, last = found.problem, found.variants[-1]
+    values, own = problem.record(found.best.theta), {free.field for free in last.free}
+    for effect in problem.group.effects:
+        for variant in effect.variants if last in effect.variants else ():
+            fields = {free.field for free in variant.free}
+            if fields < own and variant.fixed == last.fixed:
+                free = (*(each for each in problem.free if each.field not in own),
+                        *(each for each in problem.group.nuisance if each.field in own - fields),
+                        *variant.free)
+                simpler = replace(problem, free=free)
+                theta = np.array([simpler.parameter(each).share(float(values[each.field]))
+                                  for each in free])
+                yield converged(Found(found.names, (*found.variants[:-1], variant), simpler,
+                                      most_probable(simpler, theta)))
 
 
 def special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
