@@ -21,7 +21,7 @@ from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import Found, cost_of
 from asi_analysis.gap.inference.simulated.special_cases import simpler_forms
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
@@ -65,7 +65,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     improbable that they are an effect.
     """
     found = _to_the_end(found)
-    least = min(found.values(), key=lambda f: f.best.cost)
+    least = min(found.values(), key=cost_of)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
     # A smaller error than the simulation's own is no evidence.

@@ -20,6 +20,7 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     at_values_of,
+    cost_of,
     freed_fields,
 )
 from asi_analysis.gap.model.group import Group, Values, recorrected, with_lower_noise
@@ -63,7 +64,7 @@ def converged(found: Found, goal: float = math.inf, beside: float = math.inf) ->
         found = known[-1].refined(goal=goal, beside=beside)
     if not known:
         return found
-    found = min(known, key=lambda each: each.best.cost)
+    found = min(known, key=cost_of)
     if abs(change) < COST_RANGE + left:
         return found
     group, p = found.problem.group, found.problem.record(found.best.theta)
@@ -103,7 +104,7 @@ def with_fine_substeps(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
 def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
     """Return hypotheses with the residual of the best as noise, where it is noise, but more."""
-    best = min(found.values(), key=_cost)
+    best = min(found.values(), key=cost_of)
     louder = with_coloured_noise(best.problem.group, best.problem.record(best.best.theta))
     if louder is best.problem.group:
         return dict(found)
@@ -143,7 +144,7 @@ def with_noise_from_fit(found: Mapping[Names, Found],
     Oscillations above the band of a motion were counted as noise in it. lowered: how a group is
     changed by that residual.
     """
-    best = min(found.values(), key=lambda each: each.best.cost)
+    best = min(found.values(), key=cost_of)
     leader = best
     while True:   # the best one first: the others are only compared with what it ends with
         group, level = leader.problem.group, mean_squares(leader.problem, leader.best.residual)
@@ -152,7 +153,7 @@ def with_noise_from_fit(found: Mapping[Names, Found],
         if quieter is group:
             break
         leader = leader.weighed_as(replace(leader.problem, group=quieter))
-        leader = converged(min(_with_nominal(leader), key=_cost).refined())
+        leader = converged(min(_with_nominal(leader), key=cost_of).refined())
     if leader is best:
         return dict(found)
     goal = leader.best.cost + COST_RANGE
@@ -162,7 +163,7 @@ def with_noise_from_fit(found: Mapping[Names, Found],
         weighed = each.weighed_as(replace(each.problem, group=same))
         # One that is part of the best must not be given up at values from before.
         start = min(*_with_nominal(weighed),
-                    at_values_of(weighed, leader, freed_fields(leader)[0]), key=_cost)
+                    at_values_of(weighed, leader, freed_fields(leader)[0]), key=cost_of)
         if (each.problem.is_far(each.best.cost) and start.problem.is_far(start.best.cost)
                 and not leader.problem.is_far(leader.best.cost)):
             return start   # it does not even explain what is above the larger noise
@@ -181,10 +182,6 @@ def _with_nominal(found: Found) -> tuple[Found, Found]:
     group = recorrected(problem.group, problem.record(theta))
     return found, found._replace(problem=replace(problem, group=group),
                                  best=found.best._replace(slopes=None)).at(theta)
-
-
-def _cost(found: Found) -> float:
-    return found.best.cost
 
 
 def with_usual_parameters(found: Found) -> Found:

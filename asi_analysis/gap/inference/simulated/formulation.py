@@ -22,13 +22,14 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     at_values_of,
+    cost_of,
     freed_fields,
 )
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
-RIVALS = 3   # from whose values the nominal model is fitted again
+STARTING_RIVALS = 3   # from whose values the nominal model is fitted again
 HALVINGS = 8   # of the weight of the data, at most
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
@@ -52,7 +53,7 @@ def in_best_formulation(found: Mapping[Names, Found],
     null = own[()]
     other = not any(map(_explains_with_one, own.values())) or (
         not null.problem.is_far(null.best.cost)
-        and _needs_other_shapes(min(own.values(), key=lambda each: each.best.cost)))
+        and _needs_other_shapes(min(own.values(), key=cost_of)))
     return in_formulation(found, other, known)
 
 
@@ -103,14 +104,14 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
         if other:
             group = moved[()].problem.group
             enough = np.ones(len(group.channels)) if group.may_differ else equal_below(
-                min(moved.values(), key=lambda each: each.best.cost))
+                min(moved.values(), key=cost_of))
             moved[()], plain = _sufficient(moved[()], enough)
             if plain is not None:
                 return {(): plain}
         moved = _refitted(moved)
     if not other:
         return moved
-    best = min(moved.values(), key=lambda each: each.best.cost)
+    best = min(moved.values(), key=cost_of)
     equal = equal_below(best)
     return {names: _nearest_to_nominal(each, equal)
             if found[names] is not known.get(names)
@@ -160,7 +161,7 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
     fits = leader.problem.in_parallel(refit, others.values())
     refitted = {first: leader} | dict(zip(others, fits, strict=True))
     return {**refitted, (): _least_from(refitted[()], sorted(
-        (each for names, each in refitted.items() if names), key=_cost)[:RIVALS])}
+        (each for names, each in refitted.items() if names), key=cost_of)[:STARTING_RIVALS])}
 
 
 def _least_from(null: Found, rivals: Sequence[Found]) -> Found:
@@ -169,14 +170,10 @@ def _least_from(null: Found, rivals: Sequence[Found]) -> Found:
         if rival.best.cost < null.best.cost - GAIN:
             fields, own = freed_fields(rival)
             start = min((at_values_of(null, rival, given) for given in (fields - own, fields)),
-                        key=_cost)
+                        key=cost_of)
             # The start was simulated with another correction of the integration error.
-            null = min(null, converged(start.refined(goal=null.best.cost)), key=_cost)
+            null = min(null, converged(start.refined(goal=null.best.cost)), key=cost_of)
     return null
-
-
-def _cost(found: Found) -> float:
-    return found.best.cost
 
 
 def goal_beside(leader: Found) -> float:

@@ -163,6 +163,11 @@ class Found(NamedTuple):
         return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))
 
 
+def cost_of(found: Found) -> float:
+    """Return the negative log posterior of a fit, up to a constant: the key of `min`."""
+    return found.best.cost
+
+
 def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
     """
     Return a hypothesis at the values of another fit for some fields.

@@ -23,7 +23,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_noise_left,
 )
 from asi_analysis.gap.inference.simulated.formulation import goal_beside, in_formulation
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import Found, cost_of
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.search import (
     gain_is_off,
@@ -98,7 +98,7 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     found = with_uneven_delay(with_noise_left(single_effects(null, tick, _goal)))
     found = _with_pairs(found, tick) if pairs else found
     found = with_fine_substeps(found) if group.channels == ('valve',) else found
-    null, best = found[()], min(found.values(), key=lambda each: each.best.cost)
+    null, best = found[()], min(found.values(), key=cost_of)
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
         return OwnLaws(None, gap), best.as_fitted, best
@@ -117,7 +117,7 @@ def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Nam
     would be what the formulation leaves. So would be a parameter beyond its tolerance.
     """
     singles = [each for names, each in found.items() if names]
-    first = min(singles, key=lambda each: each.best.cost, default=found[()])
+    first = min(singles, key=cost_of, default=found[()])
     if not first.names or first.names[0].startswith(PARAMETER) or (
             not has_one_law(first.names[0])):
         return found

@@ -53,6 +53,7 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     at_values_of,
+    cost_of,
     freed_fields,
     with_values_of,
 )
@@ -278,7 +279,7 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
     singles = [names for names in found if names]
     if not singles or not all(each.may_lack_an_effect for each in found.values()):
         return found
-    first = min((found[names] for names in singles), key=lambda each: each.best.cost)
+    first = min((found[names] for names in singles), key=cost_of)
     promised = screen(first, not first.unexplained, tick).most
     # Without another model, an effect may be named although a residual is left.
     if promised < ODDS_AGAINST or not (
@@ -301,12 +302,12 @@ def _pairs(null: Found, first: Found, tick: Callable[[], None], goal: Goal
     single effect need not be one of the true two, since it may imitate both.
     """
     pairs = _with_second(first, tick, goal)
-    best = min(pairs.values(), key=lambda each: each.best.cost)
+    best = min(pairs.values(), key=cost_of)
     if best.names == first.names or best.far or not pairs[first.names].may_lack_an_effect:
         return pairs
     second = alone_of(null, best, best.variants[-1])
     pairs = _best_of(pairs, _with_second(second, tick, goal))
-    third = min(pairs.values(), key=lambda each: each.best.cost)
+    third = min(pairs.values(), key=cost_of)
     if third is best or len(third.names) < 2:
         return pairs
     # Beside the second effect a third one is the best, which alone may explain as much.
@@ -394,7 +395,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
             fits[found.names] = found
     if not fits:
         return {}
-    ranked = sorted(fits.values(), key=lambda f: f.best.cost)[:1 + FULL_FITS]
+    ranked = sorted(fits.values(), key=cost_of)[:1 + FULL_FITS]
     leader = converged(ranked[0].refined(2 * ROUNDS))
     if never_slides(leader):
         return _around([form for form in rough if form is not ranked[0]], base, null, tick, goal,
@@ -460,7 +461,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     for found in problem.in_parallel(converged_fit, sorted(remaining, key=is_coarse)):
         keep(found)
         tick()
-    best = min(fits.values(), key=lambda found: found.best.cost)
+    best = min(fits.values(), key=cost_of)
     for form in special_cases(best, [*rough, *remaining]):
         keep(from_values_of(best, form, most))
     return {names: found for names, found in fits.items() if found.best.cost < math.inf
