@@ -14,7 +14,12 @@ import numpy as np
 from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged
-from asi_analysis.gap.inference.simulated.found import Found, freed_fields, with_values_of
+from asi_analysis.gap.inference.simulated.found import (
+    COST_RANGE,
+    Found,
+    freed_fields,
+    with_values_of,
+)
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.start import actuator_of
 
@@ -39,7 +44,7 @@ def simpler_forms(found: Found) -> Iterator[Found]:
     """Yield fits of the last effect in forms with fewer free parameters, of those that it has."""
     if not found.names:
         return
-    problem, last = found.problem, found.variants[-1]
+    problem, last, goal = found.problem, found.variants[-1], found.best.cost + COST_RANGE
     values, own = problem.record(found.best.theta), {free.field for free in last.free}
     for effect in problem.group.effects:
         for variant in effect.variants if last in effect.variants else ():
@@ -51,8 +56,10 @@ def simpler_forms(found: Found) -> Iterator[Found]:
                 simpler = replace(problem, free=free)
                 theta = np.array([simpler.parameter(each).share(float(values[each.field]))
                                   for each in free])
-                yield converged(Found(found.names, (*found.variants[:-1], variant), simpler,
-                                      most_probable(simpler, theta)))
+                form = Found(found.names, (*found.variants[:-1], variant), simpler,
+                             most_probable(simpler, theta, goal=goal))
+                if form.best.cost < goal:
+                    yield converged(form)
 
 
 def special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
