@@ -436,9 +436,9 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 else found)
 
     # Of recordings far from explained, a rough fit was made to the end on a part. So it is known
-    # well enough which are hopeless beside the best one, and which forms are if that is hopeless.
+    # well enough which are hopeless beside the best rough one, and which forms if that is.
     hopeless = leader.best.cost > FAR * most
-    least = FAR * max(most, leader.best.cost) if problem.is_far(base.best.cost) else math.inf
+    least = FAR * max(most, ranked[0].best.cost) if problem.is_far(base.best.cost) else math.inf
     # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked
                  for form in ([found] if hopeless else forms[found.names])
