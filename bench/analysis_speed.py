@@ -26,6 +26,7 @@ from asi_analysis.loop.simulation import loop_of
 from asi_analysis.measures.analysis import analyze
 from asi_examiner.bags import as_run
 from asi_examiner.cases import draw
+from asi_examiner.joint import draw_machine, moved, with_suspect
 from bench.result import Result, show
 
 EVERY: Final = 5           # every 5th sample of the 5000 Hz at which the bench runs
@@ -84,6 +85,19 @@ def reading(length_s: int) -> Result:
                       seconds(partial(read_bag, Path(folder) / 'bag')), 's')
 
 
+def long_joint(samples: int) -> Result:
+    """Return the time to diagnose a long recording of a joint with friction, without a model."""
+    machine, rng = draw_machine(1), np.random.default_rng(1)
+    time_s = np.arange(samples) / machine.rate_hz
+    course = 0.3 * machine.size * sum(np.sin(2.0 * np.pi * f * time_s + rng.uniform(0.0, 7.0))
+                                      for f in np.geomspace(0.05, 1.0, 9))
+    run = moved(machine, with_suspect(machine, 'coulomb_friction', rng), course, rng)
+    assert run is not None
+    diagnose([run[:2500]], {}, 'joint')
+    return Result('analysis.gap.joint', f'gap diagnosis of a joint, {samples} samples',
+                  seconds(partial(diagnose, [run], {}, 'joint')), 's', target='<= 20')
+
+
 def measure(quick: bool) -> list[Result]:
     """Return the processor time of each analysis."""
     loop = loop_of({}, {'gain': 5.0, 'reference.amplitude': 100.0}, RATE_HZ)
@@ -102,7 +116,8 @@ def measure(quick: bool) -> list[Result]:
             Result('analysis.gap', 'gap diagnosis, for a second of recording',
                    diagnosed / run.duration_s, 's'),
             Result('analysis.gap.length', 'gap diagnosis, for a second of half the recording',
-                   diagnosed_half / half.duration_s, 's')]
+                   diagnosed_half / half.duration_s, 's'),
+            long_joint(5000 if quick else 100_000)]
 
 
 if __name__ == '__main__':
