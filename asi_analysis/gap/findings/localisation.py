@@ -133,7 +133,7 @@ def _nulled(weighed: Weighed, names: Names, absent: Collection[str]) -> np.void:
     for effect in group.effects:
         for variant in effect.variants:
             if effect.name in names and variant in whole.variants:
-                fields = {free.field for free in variant.free} | dict(variant.fixed).keys()
+                fields = variant.fields | dict(variant.fixed).keys()
                 (reset if effect.name in absent else kept).update(fields)
     p = whole.fitted.record.copy()
     for field in reset - kept:

@@ -1,7 +1,9 @@
 """A fit with a nominal parameter beyond its tolerance has one more cause: that parameter."""
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +26,14 @@ OWN_LAWS = 0.6
 AT_EDGE = 0.4
 
 
+class _Beyond(NamedTuple):
+    """A nominal parameter beyond its tolerance: its prior, and the form of an effect with it."""
+
+    field: str
+    prior: float   # standard deviation, over the nominal value
+    variant: Variant
+
+
 def with_parameters_named(weighed: Weighed) -> Weighed:
     """
     Return a group whose hypotheses keep all other parameters within their tolerances.
@@ -43,18 +53,16 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
         if weighed.probability[names] < LEAST_PROBABILITY:
             continue
         more = _beyond(weighed, names)
-        if not more:
+        if not more or names and len(more) > MOST_PARAMETERS:
             continue
         richer: Names = tuple(sorted({*names, *more}))
-        freed = candidates.get(richer) or _freed(candidate, richer, tuple(more.values()))
-        if len(more) <= MOST_PARAMETERS:
-            candidates[richer] = freed
-        elif names:
-            continue
-        else:
+        freed = _freed(weighed, candidate, richer, more)
+        if len(more) > MOST_PARAMETERS:
             richer = (UNKNOWN,)
+        else:
+            candidates.setdefault(richer, freed)
         share = OWN_LAWS if group.may_differ and not shown else 1.0
-        if not own_laws and not _is_surely_beyond(freed, candidate):
+        if not own_laws and not _are_beyond(freed, more.values()):
             share = AT_EDGE
         moved = share * weighed.probability[names]
         chance[richer] = chance.get(richer, 0.0) + moved
@@ -62,26 +70,32 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
     return weighed._replace(candidates=candidates, probability=chance)
 
 
-def _freed(candidate: Candidate, names: Names, more: tuple[Variant, ...]) -> Candidate:
+def _freed(weighed: Weighed, candidate: Candidate, names: Names, more: Mapping[str, _Beyond]
+           ) -> Candidate:
     """
-    Return a hypothesis with further effects, fitted again: their parameters have no prior now.
+    Return a hypothesis with further effects: their parameters have no prior now.
 
-    Also from nominal values of the others, which took up what the prior kept from the parameter.
+    That of the group, if these are free in it. Else it is fitted again, from nominal values of the
+    others, too, which took up what the prior kept from the parameter.
     """
-    before = candidate.fitted.problem
+    known = weighed.candidates.get(names)
+    if known and {each.field for each in more.values()} <= {
+            free.field for free in known.fitted.free if free.prior == math.inf}:
+        return known
+    before, variants = candidate.fitted.problem, tuple(each.variant for each in more.values())
     assert isinstance(before, Posterior)
-    problem = replace(before, free=without_prior(before.free, more))
+    problem = replace(before, free=without_prior(before.free, variants))
     theta, (_, precision) = candidate.fitted.theta, problem.prior
     usual = np.where(precision > 0.0, problem.nominal, theta)
     best = min((most_probable(problem, start) for start in (theta, usual)),
                key=lambda each: each.cost)
-    return Candidate(names, (*candidate.variants, *more), fitted(problem, best))
+    return Candidate(names, (*candidate.variants, *variants), fitted(problem, best))
 
 
-def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
-    """Return the effects of parameters beyond their tolerance, and their forms."""
+def _beyond(weighed: Weighed, names: Names) -> dict[str, _Beyond]:
+    """Return the nominal parameters beyond their tolerance, by the effect that holds them."""
     group, candidate = weighed.group, weighed.candidates[names]
-    fit, found = candidate.fitted, dict[str, Variant]()
+    fit, found = candidate.fitted, dict[str, _Beyond]()
     own = {free.field for variant in candidate.variants for free in variant.free}
     # Of laws formulated in another way, a parameter means something slightly different.
     others = group.other_formulation and group.may_differ
@@ -94,26 +108,22 @@ def _beyond(weighed: Weighed, names: Names) -> dict[str, Variant]:
         if _is_beyond(fit, known, free.field, free.prior):
             effect, variant = form_of(group, free.field)
             if effect.name not in names:
-                found[effect.name] = variant
+                found[effect.name] = _Beyond(free.field, free.prior, variant)
     return found
 
 
-def _is_surely_beyond(freed: Candidate, before: Candidate) -> bool:
-    """Return whether parameters have lost their prior, and are far beyond the tolerance of it."""
-    fit, priors = freed.fitted, {free.field: free.prior for free in before.fitted.free}
-    fields = [free.field for free in fit.free
-              if free.prior == math.inf and priors.get(free.field, math.inf) < math.inf]
-    if not fields:
-        return False
-    known = likelihood(fit)
-    return all(_is_beyond(fit, known, field, TOLERANCE_FACTOR * priors[field])
-               for field in fields)
+def _are_beyond(freed: Candidate, more: Iterable[_Beyond]) -> bool:
+    """Return whether parameters are far beyond their tolerance, fitted without their prior."""
+    known = likelihood(freed.fitted)
+    return all(_is_beyond(freed.fitted, known, each.field, TOLERANCE_FACTOR * each.prior)
+               for each in more)
 
 
 def _is_beyond(fit: Fitted, known: Likelihood, field: str, prior: float) -> bool:
-    """Return whether the 95 % interval of a nominal parameter is beyond the tolerance."""
+    """Return whether the 95 % interval of a nominal parameter is beyond one end of a tolerance."""
     nominal = float(fit.problem.group.nominal[field])
-    return all(abs(end / nominal - 1.0) > 2.0 * prior for end in interval(fit, known, field))
+    low, high = sorted(end / nominal for end in interval(fit, known, field))
+    return low > 1.0 + 2.0 * prior or high < 1.0 - 2.0 * prior
 
 
 def form_of(group: Group, field: str) -> tuple[Effect, Variant]:

@@ -244,11 +244,11 @@ def _second_effects(group: Group, first: Candidate, effect: Effect
                     ) -> Iterable[tuple[Variant, ...]]:
     """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
-    friction = any('friction_level' in {free.field for free in variant.free}
+    friction = any('friction_level' in variant.fields
                    for variant in first.variants)
     for variant in effect.variants:
         clash = any(fixed.get(name, value) != value for name, value in variant.fixed)
-        adds_friction = 'friction_level' in {free.field for free in variant.free}
+        adds_friction = 'friction_level' in variant.fields
         # Two kinds of friction are combined in one friction model.
         if _acts_above_floor(variant, group, first.fitted) and not clash and variant.joined == (
                 friction and adds_friction and effect.name == 'friction_asymmetry'):
@@ -425,7 +425,7 @@ def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
         own = next(each for each in found.variants if each in effect.variants)
         forms = {own: found.fitted}
         for form in effect.variants:
-            if _fields_of(form) < _fields_of(own) or _fields_of(form) > _fields_of(own):
+            if form.fields < own.fields or form.fields > own.fields:
                 forms[form] = fit_subset(group, null, tuple(
                     form if each is own else each for each in found.variants), found.fitted)
         best = min(forms, key=lambda form: len(form.free)
@@ -435,16 +435,12 @@ def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
     return found
 
 
-def _fields_of(variant: Variant) -> set[str]:
-    return {free.field for free in variant.free}
-
-
 def _with_limit(group: Group, null: Fitted, found: Candidate) -> Candidate:
     """Return a hypothesis with a saturation in place of a dead band at an end of the range."""
     p, field = as_limit(found.fitted.record)
     effects = {effect.name: effect for effect in group.effects}
     band, limit = effects['valve_deadband'], effects['valve_saturation']
-    form = next(each for each in limit.variants if _fields_of(each) == {field, 'corner'})
+    form = next(each for each in limit.variants if each.fields == {field, 'corner'})
     variants = tuple(form if each in band.variants else each for each in found.variants)
     names = tuple(sorted(limit.name if name == band.name else name for name in found.names))
     return Candidate(names, variants, fit_subset(group, null, variants,

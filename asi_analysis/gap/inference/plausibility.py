@@ -245,43 +245,52 @@ def check_against_model(group: Group, alike: bool = False) -> list[str]:
                 raise InputError(f'{where}: not correlated (correlation {correlation:.2f}): '
                                  'this is not the actuator of the model, or not '
                                  'the signal that its name says')
-            early, late = shift < -_earliest(recording), shift > LATEST_S
-            if not (early or late):
-                continue
-            moved = _shift_within_tolerance(group, recording, channel)
-            early, late = shift < -_earliest(recording) - moved, shift > LATEST_S + moved
+            early = shift < -_earliest(recording)
             off = (f'{where}: {"late" if shift > 0.0 else "early"} by {abs(shift) * 1e3:.0f} ms '
                    f'(correlation {correlation:.3f}, shifted {shifted:.3f}): the clocks of '
                    f'{output} and {driven}')
             # A free load may also lead a model of wrong damping, but is less correlated.
-            if (early or late) and shifted > max(correlation + SHIFT_GAIN,
-                                                           SHIFTED_CORRELATION):
+            if shifted > max(correlation + SHIFT_GAIN, SHIFTED_CORRELATION) and (
+                    shift > LATEST_S or early and shift < -_earliest(recording)
+                    - _earlier_within_tolerance(group, recording, channel)):
                 raise InputError(f'{off} differ')
             if early and 1.0 - shifted < 0.5 * (1.0 - correlation):
                 notes.append(f'{off} may differ')
     return notes
 
 
-def _shift_within_tolerance(group: Group, recording: Recording, channel: str) -> float:
+def _earlier_within_tolerance(group: Group, recording: Recording, channel: str) -> float:
     """
     Return by how much (s) parameters within their tolerance shift the response of the model.
 
-    The force of a cylinder, for one, is a small difference of thrust and damping.
+    At most LATEST_S. The force of a cylinder, for one, is a small difference of thrust and
+    damping.
     """
     valid, model = recording.valid, predict(recording, channel, group.nominal)
 
     def shift(field: str, times: float) -> float:
         p = group.nominal.copy()
         p[field] *= times
-        return abs(best_delay(predict(recording, channel, p)[valid], model[valid],
-                              recording.period_s)[0])
+        response = predict(recording, channel, p)[valid]
+        if np.std(response) == 0.0:
+            return 0.0
+        delay, alike = best_delay(response, model[valid], recording.period_s)
+        return abs(delay) if alike > SHIFTED_CORRELATION else 0.0   # else it is another shape
 
-    def ends(free: Free) -> tuple[float, float]:
-        off = 2.0 * free.prior
-        return (1.0 - off, 1.0 + off) if off < math.inf else (free.low, free.high)
+    shifts = [max(shift(free.field, times) for times in (1.0 - off, 1.0 + off))
+              for free in group.nuisance if (off := _tolerance(free)) > 0.0]
+    return min(math.hypot(*shifts), LATEST_S)
 
-    return math.hypot(*(max(shift(free.field, times) for times in ends(free))
-                        for free in group.nuisance if free.scale == 'nominal'))
+
+def _tolerance(free: Free) -> float:
+    """Return the tolerance of a nominal parameter, over its nominal value; 0: it has none."""
+    if free.scale != 'nominal':
+        return 0.0
+    if free.prior < math.inf:
+        return 2.0 * free.prior
+    # Bounds of a block-wise model; those of a shape of a law are none.
+    off = free.high - 1.0
+    return off if math.isclose(free.low, 1.0 - off) else 0.0
 
 
 def best_delay(real: Array, model: Array, period: float) -> tuple[float, float]:

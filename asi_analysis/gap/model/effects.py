@@ -88,6 +88,11 @@ class Variant(NamedTuple):
     joined: bool = False
     where: tuple[tuple[str, float], ...] = ()
 
+    @property
+    def fields(self) -> set[str]:
+        """Return the fields that are free in this form."""
+        return {free.field for free in self.free}
+
     def applies(self, nominal: np.void) -> bool:
         """Return whether this form is one of a plant with these nominal parameters."""
         return (all(nominal[name] != 0.0 for name in self.needs)

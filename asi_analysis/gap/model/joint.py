@@ -418,7 +418,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
              'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
 
     def applies(variant: Variant) -> bool:
-        fields = {free.field for free in variant.free}
+        fields = variant.fields
         return 'load' in variant.channels and not fields <= covered
 
     def scaled(variant: Variant) -> Variant:

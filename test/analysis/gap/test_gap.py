@@ -449,6 +449,18 @@ def test_parameters_within_their_tolerance_are_no_clock_that_differs():
             plausibility.check_against_model(group)
 
 
+def test_a_clock_is_checked_where_a_tolerance_leaves_no_response():
+    """A command just above the radius of the hysteresis: a larger radius moves nothing."""
+    rng = np.random.default_rng(3)
+    command = 37.0 * np.repeat(rng.choice([-1.0, 1.0], 80), 50)
+    real = simulate(as_record({}), command, 1e-3)
+    valve = real.valve_position_m + 1e-9 * rng.standard_normal(4000)
+    run = Run(np.arange(4000) * 1e-3, command_n=command, valve_position_m=np.roll(valve, -30))
+    group, = actuator_groups([run], {}, 0.4, [False])[0]
+    with pytest.raises(InputError, match='valve_position.*early by'):
+        plausibility.check_against_model(group)
+
+
 def test_unknown_parameter_of_the_model_is_a_warning(tmp_path):
     (tmp_path / 'model.yaml').write_text(
         'asi_actuator: {ros__parameters: {load: {typ: free, mass: 2.0}, mode: realtime}}')

@@ -662,6 +662,16 @@ def test_a_parameter_surely_beyond_its_tolerance_is_no_no_gap():
     assert within['verdict'] == 'no_gap'
 
 
+def test_a_parameter_far_beyond_its_tolerance_is_named_though_its_effect_has_more_parameters():
+    """The lag of the flux, with which the effect frees the radius of the hysteresis."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_hysteresis.lag_time': 2.2 * float(
+        simulator.simulator_record(nominal)['valve_hysteresis_lag_time'])}, duration_s=1.5)
+    group = simulator_group(simulator.simulator_record(nominal), prepared([run]), ('valve',))
+    chance = weighed_of({(): null_fit(group)}, False, False).probability
+    assert chance[('valve_hysteresis',)] > 0.55
+
+
 def test_a_parameter_that_is_named_is_not_drawn_to_its_nominal_value():
     """In a noisy recording the prior of a nominal parameter would draw its size."""
     nominal = {'load.type': 'spring'}

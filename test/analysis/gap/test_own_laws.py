@@ -304,13 +304,16 @@ def test_a_lag_of_two_poles_is_compared_as_one_of_one_pole_too():
     run = recorded(valve_flexure__lag_time=0.004)[:1500]
     group = simulator_group(simulator_record(REAL), prepare([run]), ('valve',), linear=True)
     one, two, _ = FORMS['valve_lag']
-    problem = Posterior(group, (*group.nuisance, *two.free))
+    bias, _ = FORMS['valve_bias']
+    problem = Posterior(group, (*group.nuisance, *two.free, *bias.free))
     best = most_probable(problem, problem.nominal)
-    simpler, = simpler_forms(Found(('valve_lag',), (two,), problem, best))
-    assert simpler.variants == (one,) and simpler.names == ('valve_lag',)
-    assert {free.field for free in simpler.problem.free} == {
-        free.field for free in problem.free} - {'valve_flexure_second_lag_time'}
-    assert simpler.best.cost < best.cost + 5.0
+    for names, variants in ((('valve_lag', 'valve_bias'), (two, bias)),
+                            (('valve_bias', 'valve_lag'), (bias, two))):
+        simpler, = simpler_forms(Found(names, variants, problem, best), math.inf)
+        assert {*simpler.variants} == {one, bias} and simpler.names == names
+        assert {free.field for free in simpler.problem.free} == {
+            free.field for free in problem.free} - {'valve_flexure_second_lag_time'}
+        assert simpler.best.cost < best.cost + 5.0
 
 
 def test_a_nominal_parameter_that_a_simpler_form_does_not_free_has_its_prior_again():
@@ -321,7 +324,7 @@ def test_a_nominal_parameter_that_a_simpler_form_does_not_free_has_its_prior_aga
         each.field for each in two.free}), *two.free))
     theta = problem.nominal
     simpler = next(simpler_forms(Found(('stiction',), (two,), problem, Best(
-        theta, problem.cost(theta), problem.residual(theta)))))
+        theta, problem.cost(theta), problem.residual(theta))), math.inf))
     pull, = (free for free in simpler.problem.free if free.field == 'friction_stiction_pull')
     assert pull.prior < math.inf
 

@@ -21,7 +21,12 @@ from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
-from asi_analysis.gap.inference.simulated.found import Found, cost_of
+from asi_analysis.gap.inference.simulated.found import (
+    COST_RANGE,
+    Found,
+    cost_of,
+    nearest_to_nominal,
+)
 from asi_analysis.gap.inference.simulated.special_cases import simpler_forms
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
@@ -89,11 +94,12 @@ def weigh(group: Group, found: Mapping[Names, Found]
         return _log_posterior(each, noise, left(each))
 
     highest = max(map(value, found.values()))
-    near = [max(each, _with_model_error(each, noise), key=value) for each in found.values()
-            if value(each) > highest - NEGLIGIBLE]
-    near += [more for each in near for more in with_improbable_named(each)]
+    near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE]
     if equal is not exact:   # then more parameters, which cost a form probability, may gain none
-        near += [simpler for each in near for simpler in simpler_forms(each)]
+        near += [nearest_to_nominal(simpler, equal) if group.other_formulation else simpler
+                 for each in near for simpler in simpler_forms(each, least.best.cost + COST_RANGE)]
+    near = [max(each, _with_model_error(each, noise), key=value) for each in near]
+    near += [more for each in near for more in with_improbable_named(each)]
     highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
     for each in near:

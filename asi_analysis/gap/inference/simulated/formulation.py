@@ -13,7 +13,6 @@ from asi_analysis.gap.formulation import (
     with_tolerance_of_formulation,
     with_usual_shapes,
 )
-from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
@@ -24,13 +23,13 @@ from asi_analysis.gap.inference.simulated.found import (
     at_values_of,
     cost_of,
     freed_fields,
+    nearest_to_nominal,
 )
 
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
 STARTING_RIVALS = 3   # from whose values the nominal model is fitted again
-HALVINGS = 8   # of the weight of the data, at most
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
 
@@ -113,7 +112,7 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
         return moved
     best = min(moved.values(), key=cost_of)
     equal = equal_below(best)
-    return {names: _nearest_to_nominal(each, equal)
+    return {names: nearest_to_nominal(each, equal)
             if found[names] is not known.get(names)
             and (not names or each.best.cost < best.best.cost + COST_RANGE) else each
             for names, each in moved.items()}
@@ -137,7 +136,7 @@ def _sufficient(null: Found, enough: Array) -> tuple[Found, Found | None]:
     null = null.refined(goal=FAR * float(enough.max()) * null.problem.noise_cost)
     if (mean_squares(null.problem, null.best.residual) > enough).any():
         return null, None
-    near = null if null.prior_cost <= SUSPECT_PRIOR_COST else _nearest_to_nominal(null, enough)
+    near = null if null.prior_cost <= SUSPECT_PRIOR_COST else nearest_to_nominal(null, enough)
     return null, near if near.prior_cost <= SUSPECT_PRIOR_COST else None
 
 
@@ -180,38 +179,6 @@ def goal_beside(leader: Found) -> float:
     """Return the cost that a fit must reach to compete with the best one."""
     return (leader.best.cost + COST_RANGE
             + EXCESS_RANGE * max(leader.best.cost - leader.problem.noise_cost, 0.0))
-
-
-def _nearest_to_nominal(found: Found, equal: Array) -> Found:
-    """
-    Return a hypothesis with parameters as near to the nominal values as the model error allows.
-
-    equal: mean square residual of each channel, in error floors, that the model error explains.
-    The weight of the data is halved as long as the residual stays below it (the discrepancy
-    principle, Morozov 1966): first in the linearised problem, then in fits.
-    """
-    problem, slopes, nearest, halvings = found.problem, found.slopes, found, 0
-    square, slope = slopes.T @ slopes, slopes.T @ found.best.residual
-    _, others = problem.split(slopes)   # the measured gain of the valve keeps its weight
-    own_square, own_slope = others.T @ others, others.T @ problem.split(found.best.residual)[1]
-    mean, precision = problem.prior
-    for halvings in range(HALVINGS):
-        weight = 0.5 ** (halvings + 1)
-        step, _ = least_step(
-            weight * square + (1.0 - weight) * own_square + np.diag(precision),
-            weight * slope + (1.0 - weight) * own_slope
-            + precision * (found.best.theta - mean),
-            -found.best.theta, 1.0 - found.best.theta)
-        there = found.at(found.best.theta + step)
-        if (mean_squares(problem, there.best.residual) > equal).any():
-            break
-        nearest = there
-    for lighter in range(halvings + 1, HALVINGS + 1):
-        near = nearest.lighter(0.5 ** lighter)
-        if (mean_squares(problem, near.best.residual) > equal).any():
-            break
-        nearest = near
-    return nearest
 
 
 def _needs_other_shapes(found: Found) -> bool:

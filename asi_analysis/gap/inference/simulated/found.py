@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.posterior import (
     CONVERGED,
@@ -30,6 +31,7 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
+HALVINGS = 8   # of the weight of the data, at most
 
 
 class Found(NamedTuple):
@@ -196,3 +198,35 @@ def freed_fields(found: Found) -> tuple[set[str], set[str]]:
     """Return the fields that are free in a fit, and those among them of its last effect."""
     return ({free.field for free in found.problem.free},
             {free.field for variant in found.variants[-1:] for free in variant.free})
+
+
+def nearest_to_nominal(found: Found, equal: Array) -> Found:
+    """
+    Return a hypothesis with parameters as near to the nominal values as the model error allows.
+
+    equal: mean square residual of each channel, in error floors, that the model error explains.
+    The weight of the data is halved as long as the residual stays below it (the discrepancy
+    principle, Morozov 1966): first in the linearised problem, then in fits.
+    """
+    problem, slopes, nearest, halvings = found.problem, found.slopes, found, 0
+    square, slope = slopes.T @ slopes, slopes.T @ found.best.residual
+    _, others = problem.split(slopes)   # the measured gain of the valve keeps its weight
+    own_square, own_slope = others.T @ others, others.T @ problem.split(found.best.residual)[1]
+    mean, precision = problem.prior
+    for halvings in range(HALVINGS):
+        weight = 0.5 ** (halvings + 1)
+        step, _ = least_step(
+            weight * square + (1.0 - weight) * own_square + np.diag(precision),
+            weight * slope + (1.0 - weight) * own_slope
+            + precision * (found.best.theta - mean),
+            -found.best.theta, 1.0 - found.best.theta)
+        there = found.at(found.best.theta + step)
+        if (mean_squares(problem, there.best.residual) > equal).any():
+            break
+        nearest = there
+    for lighter in range(halvings + 1, HALVINGS + 1):
+        near = nearest.lighter(0.5 ** lighter)
+        if (mean_squares(problem, near.best.residual) > equal).any():
+            break
+        nearest = near
+    return nearest

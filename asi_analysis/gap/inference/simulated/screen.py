@@ -61,7 +61,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
             # A wave or pulse of a disturbance is only guessed where the motion was measured.
             guessed = all(free.scale in group.scale for free in variant.free
                           if free.scale.startswith('residual_'))
-            own = {free.field for free in variant.free}
+            own = variant.fields
             if not channels_of(variant, group) or not guessed or own & held:
                 continue
             # Contacts and couplings may be too stiff for the sub-step of the group.
@@ -120,7 +120,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     def gain(start: Start) -> tuple[float, float, float]:
         # With all other parameters free, and with none. If the gap is large, the first is too
         # optimistic: linearised, the other parameters seem to explain much. And the best multiple.
-        own = {free.field for free in start.variant.free}
+        own = start.variant.fields
         change = start.problem.residual(start.theta) - residual
         # Some effects replace a free parameter.
         keep = [n for n, free in enumerate(problem.free) if free.field not in own]

@@ -360,7 +360,7 @@ def _extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal
     far = problem.is_far(base.best.cost)
 
     def rough(start: Start) -> Found:
-        own = {free.field for free in start.variant.free}
+        own = start.variant.fields
         single = replace(start.problem, pool=None)
         begun = Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                       start.problem, base.best._replace(slopes=None))
@@ -436,7 +436,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 else found)
 
     # Of recordings far from explained, a rough fit was made to the end on a part. So it is known
-    # well enough which are hopeless beside the best rough one, and which forms if that is.
+    # well enough which are hopeless beside the best rough one; if that is, the best forms suffice.
     hopeless = leader.best.cost > FAR * most
     least = FAR * max(most, ranked[0].best.cost) if problem.is_far(base.best.cost) else math.inf
     # The slowest fits first, so that no core is idle at the end.

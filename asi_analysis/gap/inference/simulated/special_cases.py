@@ -14,12 +14,7 @@ import numpy as np
 from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged
-from asi_analysis.gap.inference.simulated.found import (
-    COST_RANGE,
-    Found,
-    freed_fields,
-    with_values_of,
-)
+from asi_analysis.gap.inference.simulated.found import Found, freed_fields, with_values_of
 from asi_analysis.gap.model.effects import Variant
 from asi_analysis.gap.model.start import actuator_of
 
@@ -28,7 +23,7 @@ LITTLE = 0.1   # share of a motion that slides, below which a friction is a spri
 
 def alone_of(null: Found, found: Found, variant: Variant) -> Found:
     """Return the fit of one effect of a hypothesis alone, in the form that it has there."""
-    values, own = found.problem.record(found.best.theta), {free.field for free in variant.free}
+    values, own = found.problem.record(found.best.theta), variant.fields
     gone = {field for other in found.variants if other != variant for field, _ in other.fixed}
     fixed = tuple(each for each in found.problem.fixed
                   if each[0] not in gone or each in (*variant.fixed, *null.problem.fixed))
@@ -40,26 +35,32 @@ def alone_of(null: Found, found: Found, variant: Variant) -> Found:
     return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
 
 
-def simpler_forms(found: Found) -> Iterator[Found]:
-    """Yield fits of the last effect in forms with fewer free parameters, of those that it has."""
-    if not found.names:
-        return
-    problem, last, goal = found.problem, found.variants[-1], found.best.cost + COST_RANGE
-    values, own = problem.record(found.best.theta), {free.field for free in last.free}
-    for effect in problem.group.effects:
-        for variant in effect.variants if last in effect.variants else ():
-            fields = {free.field for free in variant.free}
-            if fields < own and variant.fixed == last.fixed:
-                free = (*(each for each in problem.free if each.field not in own),
-                        *(each for each in problem.group.nuisance if each.field in own - fields),
-                        *variant.free)
+def simpler_forms(found: Found, goal: float) -> Iterator[Found]:
+    """
+    Yield fits with one effect in a form with fewer free parameters, of those that it has.
+
+    A nominal parameter among the others has its prior again. goal: a fit that cannot reach this
+    cost is given up.
+    """
+    problem, values = found.problem, found.problem.record(found.best.theta)
+    for number, form in enumerate(found.variants):
+        own, others = form.fields, (*found.variants[:number], *found.variants[number + 1:])
+        for effect in problem.group.effects:
+            for variant in effect.variants if form in effect.variants else ():
+                held = own - variant.fields
+                if (not variant.fields < own or variant.fixed != form.fixed
+                        or any(held & other.fields for other in others)):
+                    continue
+                free = (*(each for each in problem.free if each.field not in held),
+                        *(each for each in problem.group.nuisance if each.field in held))
                 simpler = replace(problem, free=free)
                 theta = np.array([simpler.parameter(each).share(float(values[each.field]))
                                   for each in free])
-                form = Found(found.names, (*found.variants[:-1], variant), simpler,
-                             most_probable(simpler, theta, goal=goal))
-                if form.best.cost < goal:
-                    yield converged(form)
+                best = most_probable(simpler, theta, goal=goal)
+                if best.cost < goal:
+                    yield converged(found._replace(
+                        variants=(*found.variants[:number], variant,
+                                  *found.variants[number + 1:]), problem=simpler, best=best))
 
 
 def special_cases(found: Found, forms: Sequence[Found]) -> list[Found]:
