@@ -81,7 +81,7 @@ def each(function: Callable[..., Any], work: Iterable[tuple[Any, ...]]) -> Itera
 
     A terminal sends Ctrl-C to every process; only this one reacts, and ends the others. Tasks
     are not batched: after a few quick ones, joblib would give sixteen slow ones to one process.
-    joblib replaces a process that has grown by 300 MB, as compiled code may do; its
+    joblib replaces a process that has grown by 300 MB, as compiled code may do. Its
     message is not shown.
     """
     warnings.filterwarnings('ignore', 'A worker stopped while some jobs', UserWarning, 'joblib')

@@ -244,8 +244,7 @@ def _second_effects(group: Group, first: Candidate, effect: Effect
                     ) -> Iterable[tuple[Variant, ...]]:
     """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
-    friction = any('friction_level' in variant.fields
-                   for variant in first.variants)
+    friction = any('friction_level' in variant.fields for variant in first.variants)
     for variant in effect.variants:
         clash = any(fixed.get(name, value) != value for name, value in variant.fixed)
         adds_friction = 'friction_level' in variant.fields
