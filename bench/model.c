@@ -196,13 +196,14 @@ static inline double deflected(double deflection, const struct parameters *p)
 
 static inline double saturation(double x, double tail, double *slope)
 {
-    double bounded = fast_tanh(x);
-    *slope = 1.0 - bounded * bounded;
     if (tail > 1.0) {
         double root = 1.0 / sqrt(1.0 + x * x), along = 0.5 * M_PI * x;
-        bounded = (2.0 - tail) * x * root + (tail - 1.0) * atan(along) * 2.0 / M_PI;
         *slope = (2.0 - tail) * root * root * root + (tail - 1.0) / (1.0 + along * along);
-    } else if (tail > 0.0) {
+        return (2.0 - tail) * x * root + (tail - 1.0) * atan(along) * 2.0 / M_PI;
+    }
+    double bounded = fast_tanh(x);
+    *slope = 1.0 - bounded * bounded;
+    if (tail > 0.0) {
         double root = 1.0 / sqrt(1.0 + x * x);
         bounded += tail * (x * root - bounded);
         *slope += tail * (root * root * root - *slope);
@@ -275,14 +276,16 @@ static inline double stiction(int forward, const struct parameters *p)
     return forward ? p->friction_stiction_push : p->friction_stiction_pull;
 }
 
-static inline double sliding_friction(double velocity, const struct parameters *p)
+static inline double stribeck(double velocity, const struct parameters *p)
 {
-    int forward = copysign(1.0, velocity) > 0.0;
-    double coulomb = coulomb_friction(forward, p);
     double relative = velocity / p->friction_stribeck_velocity;
-    if (fabs(relative) > FAR)
-        return coulomb;
-    return coulomb + (stiction(forward, p) - coulomb) * exp(-relative * relative);
+    return fabs(relative) <= FAR ? exp(-relative * relative) : 0.0;
+}
+
+static inline double steady_friction(int forward, double left, const struct parameters *p)
+{
+    double coulomb = coulomb_friction(forward, p);
+    return coulomb + (stiction(forward, p) - coulomb) * left;
 }
 
 static inline double softens(int forward, const struct parameters *p)
@@ -290,24 +293,22 @@ static inline double softens(int forward, const struct parameters *p)
     return stiction(forward, p) <= coulomb_friction(forward, p) ? 0.0 : p->friction_softening;
 }
 
-static inline double breakaway_deflection(double velocity, const struct parameters *p)
+static inline double breakaway_deflection(int forward, double left, const struct parameters *p)
 {
-    int forward = copysign(1.0, velocity) > 0.0;
-    double force = sliding_friction(velocity, p), softening = softens(forward, p);
+    double force = steady_friction(forward, left, p), softening = softens(forward, p);
     if (softening != 0.0)
         force += softening * (stiction(forward, p) - force);
     return force / p->friction_presliding_stiffness;
 }
 
-static inline double softened(double deflection, double velocity, const struct parameters *p,
-                              double *slope)
+static inline double softened(int forward, double velocity, double left,
+                              const struct parameters *p, double *slope)
 {
-    int forward = deflection >= 0.0;
     double softening = softens(forward, p);
     *slope = 0.0;
     if (softening == 0.0)
         return 1.0;
-    double slides = sliding_friction(copysign(velocity, deflection), p);
+    double slides = steady_friction(forward, left, p);
     double held = stiction(forward, p), whole = slides + softening * (held - slides);
     double falls = 2.0 * velocity / (p->friction_stribeck_velocity * p->friction_stribeck_velocity)
         * (slides - coulomb_friction(forward, p));
@@ -357,12 +358,12 @@ static inline double deflect(double before, double velocity, double limit,
 
 static inline int elements(const struct parameters *p, double *reach)
 {
-    double ratio = p->friction_element_ratio, shares = 0.0;
+    double ratio = p->friction_element_ratio, shares = 0.0, inverse = 1.0 / ratio;
     *reach = 1.0;
     if (ratio == 1.0)
         return 1;
     for (int i = 0; i < ELEMENTS; i++)
-        shares = shares / ratio + 1.0;
+        shares = shares * inverse + 1.0;
     *reach = shares / ELEMENTS;
     return ELEMENTS;
 }
@@ -376,23 +377,32 @@ static inline struct rub friction(double (*seals)[ELEMENTS], double mean_velocit
     struct rub r = {viscous * velocity, viscous};
     if (p->friction_model != FULL)
         return r;
-    double reach, held = breakaway_deflection(mean_velocity, p);
-    double limit = breakaway_deflection(velocity, p);
+    double direction = copysign(1.0, velocity), left = stribeck(velocity, p);
+    double held = breakaway_deflection(copysign(1.0, mean_velocity) > 0.0,
+                                       stribeck(mean_velocity, p), p);
+    double limit = breakaway_deflection(direction > 0.0, left, p);
+    int damped = p->friction_presliding_damping > 0.0 && limit >= LEAST_LIMIT;
+    double reach, ahead_slope, back_slope;
+    double ahead = softened(1, velocity, left, p, &ahead_slope);
+    double back = softened(0, velocity, left, p, &back_slope);
     int count = elements(p, &reach);
     for (int i = 0; i < count; i++) {
-        double deflects, share_slope, elastic = 0.0;
+        double deflects;
         double after = deflect(seals[BEFORE][i], mean_velocity, reach * held, p, h, &deflects);
         seals[AFTER][i] = after;
         seals[SLOPE][i] = deflects;
-        double share = softened(after, velocity, p, &share_slope);
-        if (limit >= LEAST_LIMIT) {
-            double along = fmax(copysign(1.0, velocity) * after / (reach * limit), -1.0);
-            elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along);
-        }
+        double share = after >= 0.0 ? ahead : back;
+        double share_slope = after >= 0.0 ? ahead_slope : back_slope;
         double stiffness = p->friction_presliding_stiffness / (count * reach);
-        double damping = p->friction_presliding_damping * elastic / (count * reach);
-        r.force += share * stiffness * after + damping * velocity;
-        r.slope += stiffness * (share * deflects + share_slope * after) + damping;
+        r.force += share * stiffness * after;
+        r.slope += stiffness * (share * deflects + share_slope * after);
+        if (damped) {
+            double along = fmax(direction * after / (reach * limit), -1.0);
+            double elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along);
+            double damping = p->friction_presliding_damping * elastic / (count * reach);
+            r.force += damping * velocity;
+            r.slope += damping;
+        }
         reach *= p->friction_element_ratio;
     }
     return r;

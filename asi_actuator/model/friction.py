@@ -59,14 +59,23 @@ def stiction(forward, p):
 
 
 @jit
+def stribeck(velocity, p):
+    """Return the share of stiction beyond Coulomb friction that is left at a velocity (m/s)."""
+    relative = velocity / p.friction_stribeck_velocity
+    return math.exp(-relative * relative) if abs(relative) <= FAR else 0.0
+
+
+@jit
+def steady_friction(forward, left, p):
+    """Return the steady friction (N, not negative) in a direction; left: from `stribeck`."""
+    coulomb = coulomb_friction(forward, p)
+    return coulomb + (stiction(forward, p) - coulomb) * left
+
+
+@jit
 def sliding_friction(velocity, p):
     """Return the steady friction (N, not negative) when sliding at `velocity` (m/s)."""
-    forward = math.copysign(1.0, velocity) > 0.0
-    coulomb = coulomb_friction(forward, p)
-    relative = velocity / p.friction_stribeck_velocity
-    if abs(relative) > FAR:
-        return coulomb
-    return coulomb + (stiction(forward, p) - coulomb) * math.exp(-relative * relative)
+    return steady_friction(math.copysign(1.0, velocity) > 0.0, stribeck(velocity, p), p)
 
 
 @jit
@@ -84,31 +93,30 @@ def softens(forward, p):
 
 
 @jit
-def breakaway_deflection(velocity, p):
-    """Return the deflection (m) of the seals when sliding at a steady `velocity` (m/s)."""
-    forward = math.copysign(1.0, velocity) > 0.0
-    force, softening = sliding_friction(velocity, p), softens(forward, p)
+def breakaway_deflection(forward, left, p):
+    """Return the deflection (m) of the seals when sliding steadily; left: from `stribeck`."""
+    force, softening = steady_friction(forward, left, p), softens(forward, p)
     if softening != 0.0:
         force += softening * (stiction(forward, p) - force)
     return force / p.friction_presliding_stiffness
 
 
 @jit
-def softened(deflection, velocity, p):
+def softened(forward, velocity, left, p):
     """
     Return the stiffness of the seals as a share of that at rest, and its slope (s/m).
 
-    deflection: m, for its sign; velocity: m/s, with which the slope is the derivative.
+    forward: whether their deflection is; velocity: m/s, with which the slope is the derivative;
+    left: from `stribeck`, at that velocity.
     """
-    forward = deflection >= 0.0
     softening = softens(forward, p)
     if softening == 0.0:
         return 1.0, 0.0
-    sliding, held = sliding_friction(math.copysign(velocity, deflection), p), stiction(forward, p)
-    whole = sliding + softening * (held - sliding)
+    slides, held = steady_friction(forward, left, p), stiction(forward, p)
+    whole = slides + softening * (held - slides)
     falls = (2.0 * velocity / p.friction_stribeck_velocity ** 2
-             * (sliding - coulomb_friction(forward, p)))
-    return sliding / whole, -softening * held / whole ** 2 * falls
+             * (slides - coulomb_friction(forward, p)))
+    return slides / whole, -softening * held / whole ** 2 * falls
 
 
 @jit
@@ -188,9 +196,9 @@ def elements(p):
     ratio = p.friction_element_ratio
     if ratio == 1.0:
         return 1, 1.0
-    shares = 0.0
+    shares, inverse = 0.0, 1.0 / ratio
     for _ in range(ELEMENTS):
-        shares = shares / ratio + 1.0
+        shares = shares * inverse + 1.0
     return ELEMENTS, shares / ELEMENTS
 
 
@@ -209,23 +217,28 @@ def friction(seals, mean_velocity, velocity, p, h):
     if p.friction_model != FULL:
         return Friction(force, slope)
     count, reach = elements(p)
-    held = breakaway_deflection(mean_velocity, p)
-    limit = breakaway_deflection(velocity, p)
+    direction, left = math.copysign(1.0, velocity), stribeck(velocity, p)
+    held = breakaway_deflection(math.copysign(1.0, mean_velocity) > 0.0,
+                                stribeck(mean_velocity, p), p)
+    limit = breakaway_deflection(direction > 0.0, left, p)
+    damped = p.friction_presliding_damping > 0.0 and limit >= LEAST_LIMIT
+    ahead, back = softened(True, velocity, left, p), softened(False, velocity, left, p)
     for i in range(count):
         after, deflects = deflect(seals[BEFORE, i], mean_velocity, reach * held, p, h)
         deflects *= 0.5  # the velocity at the end counts half in the mean
         seals[AFTER, i], seals[SLOPE, i] = after, deflects
-        share, share_slope = softened(after, velocity, p)
-        # Only motion that deforms the seals is damped, never their relaxation when friction falls
-        # from stiction to Coulomb: else it would drive the piston.
-        elastic = 0.0
-        if limit >= LEAST_LIMIT:
-            along = max(math.copysign(1.0, velocity) * after / (reach * limit), -1.0)
-            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along)
+        share, share_slope = ahead if after >= 0.0 else back
         stiffness = p.friction_presliding_stiffness / (count * reach)
-        damping = p.friction_presliding_damping * elastic / (count * reach)
-        force += share * stiffness * after + damping * velocity
-        slope += stiffness * (share * deflects + share_slope * after) + damping
+        force += share * stiffness * after
+        slope += stiffness * (share * deflects + share_slope * after)
+        if damped:
+            # Only motion that deforms the seals is damped, never their relaxation when friction
+            # falls from stiction to Coulomb: else it would drive the piston.
+            along = max(direction * after / (reach * limit), -1.0)
+            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along)
+            damping = p.friction_presliding_damping * elastic / (count * reach)
+            force += damping * velocity
+            slope += damping
         reach *= p.friction_element_ratio
     return Friction(force, slope)
 

@@ -331,7 +331,7 @@ class _Point(NamedTuple):
 
     def best(self, slopes: Array, fresh: bool) -> Best:
         """Return the point as the result of a fit."""
-        return Best(self.theta, self.cost, self.residual, _kept(slopes), fresh)
+        return Best(self.theta, self.cost, self.residual, kept(slopes), fresh)
 
 
 class _Linearised(NamedTuple):
@@ -400,7 +400,7 @@ class _Linearised(NamedTuple):
         return np.clip(theta + (bent if near else straight), 0.0, 1.0)
 
 
-def _kept(slopes: Array) -> Slopes | None:
+def kept(slopes: Array) -> Slopes | None:
     """Return a Jacobian to be kept, unless it is too large."""
     return slopes.astype(np.float32) if 4 * slopes.size <= MOST_KEPT else None
 

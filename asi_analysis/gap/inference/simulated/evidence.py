@@ -41,8 +41,9 @@ STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 
 # the posterior is uniform over the range.
 AT_END, LEAST_CURVATURE = 1e-6, 1e-3
 # Differences for the volume: at first, of a parameter without a normal prior, as a share of its
-# range; then in standard deviations along the axes of the posterior, in so many passes.
-WIDEST, AXIS, PASSES = 0.3, 2.0, 2
+# range; then in standard deviations along the axes of the posterior, in so many passes, unless
+# one changes the log volume by less than SAME.
+WIDEST, AXIS, PASSES, SAME = 0.3, 2.0, 2, 0.1
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 
 
@@ -273,8 +274,12 @@ def _slopes_of_mass(found: Found, weight: Array) -> Array:
     if not finite.all():   # so far away no plant is possible
         slopes = problem.jacobian(best.theta, _columns(problem, slopes, finite), best.residual)
     within = np.minimum(best.theta, 1.0 - best.theta) >= AT_END
+    axes = _axes(problem, slopes, weight, within)
     for _ in range(PASSES):
-        slopes[:, within] = _along_axes(found, slopes, weight, within)
+        slopes[:, within] = _along_axes(found, slopes, axes, within)
+        before, axes = axes, _axes(problem, slopes, weight, within)
+        if abs(float(np.log(axes.reach / before.reach).sum())) < SAME:
+            break
     # At an end of its range a parameter goes one way alone.
     square = np.diag(_square(problem, slopes, weight))
     return problem.jacobian(best.theta, _columns(problem, slopes, within), best.residual,
@@ -287,25 +292,38 @@ def _columns(problem: Posterior, slopes: Array, chosen: Mask) -> dict[str, Array
         problem.free, slopes.T, chosen, strict=True) if known}
 
 
-def _along_axes(found: Found, slopes: Array, weight: Array, within: Mask) -> Array:
+class _Axes(NamedTuple):
+    """Axes of a posterior, as columns, and how far to go along each: in standard deviations."""
+
+    directions: Array
+    reach: Array
+
+
+def _axes(problem: Posterior, slopes: Array, weight: Array, within: Mask) -> _Axes:
+    """Return the axes of the posterior with a Jacobian; within: of parameters off their ends."""
+    precision, directions = np.linalg.eigh(
+        _square(problem, slopes, weight)[np.ix_(within, within)])
+    return _Axes(directions, np.minimum(AXIS / np.sqrt(np.maximum(precision, 1.0)), WIDEST))
+
+
+def _along_axes(found: Found, slopes: Array, axes: _Axes, within: Mask) -> Array:
     """
     Return columns of the Jacobian from central differences along the axes of the posterior.
 
     slopes: the Jacobian that gives these axes; within: the columns, of parameters off their ends.
     """
     problem, theta = found.problem, found.best.theta
-    precision, axes = np.linalg.eigh(_square(problem, slopes, weight)[np.ix_(within, within)])
-    reach = np.minimum(AXIS / np.sqrt(np.maximum(precision, 1.0)), WIDEST)
 
     def along(number: int) -> Array:
         step = np.zeros(theta.size)
-        step[within] = reach[number] * axes[:, number]
+        step[within] = axes.reach[number] * axes.directions[:, number]
         ahead, back = (problem.residual(np.clip(theta + way * step, 0.0, 1.0))
                        for way in (1.0, -1.0))
-        change = (ahead - back) / (2.0 * reach[number])
-        return change if np.isfinite(change).all() else slopes[:, within] @ axes[:, number]
+        change = (ahead - back) / (2.0 * axes.reach[number])
+        return (change if np.isfinite(change).all()
+                else slopes[:, within] @ axes.directions[:, number])
 
-    return np.array(list(problem.in_parallel(along, range(reach.size)))).T @ axes.T
+    return np.array(list(problem.in_parallel(along, range(axes.reach.size)))).T @ axes.directions.T
 
 
 def _square(problem: Posterior, jacobian: Array, weight: Array) -> Array:

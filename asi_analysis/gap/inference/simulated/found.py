@@ -16,6 +16,7 @@ from asi_analysis.gap.inference.posterior import (
     Best,
     Posterior,
     fitted,
+    kept,
     mean_squares,
     most_probable,
     power,
@@ -31,7 +32,9 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
-HALVINGS = 8   # of the weight of the data, at most
+# Nearest to nominal: so many Jacobians, until they lower the prior's cost by little; the least
+# weight of the data, bisections to find it; halvings of a step that goes too far.
+NEARER, LITTLE, LEAST_WEIGHT, BISECTIONS, HALVINGS = 4, 0.1, 0.5 ** 8, 6, 4
 
 
 class Found(NamedTuple):
@@ -205,28 +208,58 @@ def nearest_to_nominal(found: Found, equal: Array) -> Found:
     Return a hypothesis with parameters as near to the nominal values as the model error allows.
 
     equal: mean square residual of each channel, in error floors, that the model error explains.
-    The weight of the data is halved as long as the residual stays below it (the discrepancy
-    principle, Morozov 1966): first in the linearised problem, then in fits.
+    The data get the least weight with which the residual stays below it (the discrepancy
+    principle, Morozov 1966): that of the linearised problem, found again about each fit.
     """
-    problem, slopes, nearest, halvings = found.problem, found.slopes, found, 0
-    square, slope = slopes.T @ slopes, slopes.T @ found.best.residual
-    _, others = problem.split(slopes)   # the measured gain of the valve keeps its weight
-    own_square, own_slope = others.T @ others, others.T @ problem.split(found.best.residual)[1]
+    for _ in range(NEARER):
+        nearer = _nearer(found, equal)
+        if nearer is None or nearer.prior_cost > found.prior_cost - LITTLE:
+            break
+        found = nearer
+    return found
+
+
+def _nearer(found: Found, equal: Array) -> Found | None:
+    """Return a hypothesis nearer to the nominal values, if a fit leaves no more than is equal."""
+    problem = found.problem
+
+    def is_equal(each: Found) -> bool:
+        return bool((mean_squares(problem, each.best.residual) <= equal).all())
+
+    if not is_equal(found):
+        return None
+    slopes = found.slopes
+    found = found._replace(best=found.best._replace(slopes=kept(slopes), fresh=True))
+    there = found.lighter(_least_weight(found, slopes, equal), 1)
+    for _ in range(HALVINGS):   # the posterior is not linear
+        if is_equal(there):
+            return there
+        there = found.at(0.5 * (found.best.theta + there.best.theta))
+    return None
+
+
+def _least_weight(found: Found, slopes: Array, equal: Array) -> float:
+    """Return the least weight of the data with which the linearised residual stays `equal`."""
+    problem, best = found.problem, found.best
+    of_channels, others = problem.split(slopes)
+    rows, rest = problem.split(best.residual)
+    squares = np.einsum('cni,cnj->cij', of_channels, of_channels, optimize=True)
+    along = np.einsum('cni,cn->ci', of_channels, rows, optimize=True)
     mean, precision = problem.prior
-    for halvings in range(HALVINGS):
-        weight = 0.5 ** (halvings + 1)
-        step, _ = least_step(
-            weight * square + (1.0 - weight) * own_square + np.diag(precision),
-            weight * slope + (1.0 - weight) * own_slope
-            + precision * (found.best.theta - mean),
-            -found.best.theta, 1.0 - found.best.theta)
-        there = found.at(found.best.theta + step)
-        if (mean_squares(problem, there.best.residual) > equal).any():
-            break
-        nearest = there
-    for lighter in range(halvings + 1, HALVINGS + 1):
-        near = nearest.lighter(0.5 ** lighter)
-        if (mean_squares(problem, near.best.residual) > equal).any():
-            break
-        nearest = near
-    return nearest
+    # The measured gain of the valve keeps its weight.
+    own_square = others.T @ others + np.diag(precision)
+    own_slope = others.T @ rest + precision * (best.theta - mean)
+
+    def is_equal(weight: float) -> bool:
+        step, _ = least_step(weight * squares.sum(axis=0) + own_square,
+                             weight * along.sum(axis=0) + own_slope,
+                             -best.theta, 1.0 - best.theta)
+        left = (np.sum(rows ** 2, axis=1) + 2.0 * along @ step
+                + np.einsum('i,cij,j->c', step, squares, step))
+        return bool((left <= equal * rows.shape[1] * power(problem.group)).all())
+
+    enough, least = 1.0, LEAST_WEIGHT
+    for _ in range(BISECTIONS):
+        middle = math.sqrt(enough * least)
+        enough, least = (middle, least) if is_equal(middle) else (enough, middle)
+    return enough

@@ -38,7 +38,6 @@ from asi_analysis.gap.inference.simulated.explained import most_probable_of, wei
 from asi_analysis.gap.inference.simulated.fits import (
     columns_of,
     converged,
-    is_coarse,
     with_noise_from_fit,
     with_noise_left,
     with_usual_parameters,
@@ -439,7 +438,6 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     # well enough which are hopeless beside the best rough one; if that is, the best forms suffice.
     hopeless = leader.best.cost > FAR * most
     least = FAR * max(most, ranked[0].best.cost) if problem.is_far(base.best.cost) else math.inf
-    # The slowest fits first, so that no core is idle at the end.
     remaining = [form for found in ranked
                  for form in ([found] if hopeless else forms[found.names])
                  if form is not ranked[0] and form.best.cost <= least]
@@ -458,9 +456,17 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
 
-    for found in problem.in_parallel(converged_fit, sorted(remaining, key=is_coarse)):
-        keep(found)
-        tick()
+    # One form of each effect first: the best of them is the goal of further forms.
+    first = {form.names: form for form in (*reversed(remaining), leader)}
+    for further in (False, True):
+        done = [leader]
+        for found in problem.in_parallel(converged_fit, [
+                form for form in remaining if (form is not first[form.names]) == further]):
+            keep(found)
+            done.append(found)
+            tick()
+        best = min(done, key=cost_of)
+        most, beside = min(most, goal(best, null)), best.best.cost + COST_RANGE
     best = min(fits.values(), key=cost_of)
     for form in special_cases(best, [*rough, *remaining]):
         keep(from_values_of(best, form, most))
