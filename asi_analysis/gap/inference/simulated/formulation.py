@@ -29,9 +29,6 @@ from asi_analysis.gap.inference.simulated.found import (
 NONE: Mapping[Names, Found] = MappingProxyType({})
 # A fit competes with the best as long as its model error is larger by at most this multiple.
 EXCESS_RANGE = 2.0
-# Convergence of fits that are continued: nearer to the nominal values, or to the end. The last
-# round gains less than this share of the cost.
-LOOSELY = 3e-3
 STARTING_RIVALS = 3   # from whose values the nominal model is fitted again
 # Negative log prior of the nominal parameters above which their errors may stand for an effect.
 SUSPECT_PRIOR_COST = 3.0
@@ -156,7 +153,7 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
     def refit(each: Found) -> Found:
         alone = each._replace(problem=replace(each.problem, pool=None)).refined(
-            goal=goal, beside=leader.best.cost + COST_RANGE, converged=LOOSELY)
+            goal=goal, beside=leader.best.cost + COST_RANGE)
         return alone._replace(problem=each.problem)
 
     others = {names: each for names, each in found.items() if names != first}
