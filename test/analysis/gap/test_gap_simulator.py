@@ -27,14 +27,21 @@ from asi_analysis.gap.findings.shrink import shrink_of
 from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
-from asi_analysis.gap.inference.posterior import STEP, Best, Posterior, fitted, most_probable
+from asi_analysis.gap.inference.posterior import (
+    STEP,
+    Best,
+    Posterior,
+    fitted,
+    mean_squares,
+    most_probable,
+)
 from asi_analysis.gap.inference.simulated import fits, formulation, search
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
 from asi_analysis.gap.inference.simulated.formulation import in_formulation, sufficient
-from asi_analysis.gap.inference.simulated.found import Found
+from asi_analysis.gap.inference.simulated.found import Found, nearest_to_nominal
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
@@ -586,6 +593,27 @@ def test_a_rival_begins_at_the_size_that_the_screen_expects():
     assert start.problem.cost(start.nearest) < start.problem.cost(start.theta)
     # A guess that costs less than its multiple is kept.
     assert (start._replace(amount=1e3).nearest == start.theta).all()
+
+
+@pytest.mark.parametrize('share', [1.2, 2.0])
+def test_parameters_are_as_near_to_nominal_as_the_residual_may_grow(share):
+    """No farther than those of fits with less and less weight of the data."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'load.mass': 0.58, 'friction.stiction_push': 25.0}, duration_s=1.0)
+    found = null_behind_valve(run, nominal)
+
+    def left(each):
+        return mean_squares(found.problem, each.best.residual)
+
+    near, lighter = nearest_to_nominal(found, share * left(found)), found
+    assert 0.9 < (left(near) / left(found)).max() / share <= 1.0
+    for halvings in range(1, 17):
+        tried = lighter.lighter(0.5 ** (0.5 * halvings))
+        if (left(tried) > share * left(found)).any():
+            break
+        lighter = tried
+    assert near.prior_cost < lighter.prior_cost + 0.05 < found.prior_cost
+    assert nearest_to_nominal(found, 0.9 * left(found)) is found
 
 
 def test_a_fit_that_begins_far_is_made_on_the_first_part_before():

@@ -6,6 +6,7 @@ valve's fit are parameters of what follows it, with the normal distribution that
 (Ljung, System Identification, 2nd ed., 9.2); else they would be taken for an effect there.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,11 +14,13 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.fit import Fitted
+from asi_analysis.gap.inference.posterior import ODDS_AGAINST
 from asi_analysis.gap.inference.uncertainty import likelihood
 from asi_analysis.gap.model import simulator
 from asi_analysis.gap.model.effects import Free
 from asi_analysis.gap.model.group import (
     OF_VALVE_GAIN,
+    VALVE_GAIN,
     Group,
     exact,
     is_of_valve,
@@ -25,6 +28,35 @@ from asi_analysis.gap.model.group import (
     with_valve_gain,
 )
 from asi_analysis.gap.model.predict import predict
+from asi_analysis.gap.model.simulator import metres_per_newton
+
+
+def gain_is_off(valve: np.void, behind: Group, gain: Free | None) -> bool:
+    """
+    Return whether the fitted gain of the valve is improbable, so that it is an answer of its own.
+
+    By the normal priors of all factors of the gain. valve: the record of the valve's fit; behind:
+    the group of what follows it; gain: the uncertain gain, as `with_free_gain` returns it.
+    """
+    if gain is None:
+        return False
+    factors = (gain, *(free for free in behind.nuisance if free.field in OF_VALVE_GAIN
+                       and free.field != VALVE_GAIN))
+    variance = sum(free.prior ** 2 for free in factors)
+    off = math.log(metres_per_newton(valve) / metres_per_newton(behind.nominal))
+    return 0.5 * off ** 2 / variance > ODDS_AGAINST
+
+
+def with_free_gain(valve: Group) -> tuple[Group, Free | None]:
+    """
+    Return the valve with a gain of any size, and the uncertain gain.
+
+    The position shows only the product of the gain with full opening over maximum force, so the
+    tolerance of the gain is judged with what follows the valve.
+    """
+    gain = next((free for free in valve.nuisance if free.field == VALVE_GAIN), None)
+    return replace(valve, nuisance=tuple(
+        free._replace(prior=math.inf) if free is gain else free for free in valve.nuisance)), gain
 
 
 def behind_valve(group: Group, valve: Fitted, gain: Free | None = None, only_noise: bool = False

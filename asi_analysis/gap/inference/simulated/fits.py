@@ -201,9 +201,3 @@ def with_usual_parameters(found: Found) -> Found:
 def columns_of(problem: Posterior, jacobian: Array) -> dict[str, Array]:
     """Return the columns of a Jacobian by the fields of the free parameters."""
     return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}
-
-
-def is_coarse(found: Found) -> bool:
-    """Return whether a fit is simulated with a sub-step that needs a correction."""
-    return bool(found.problem.record(found.best.theta)['maximum_substep']
-                > found.problem.group.exact_substep_s)

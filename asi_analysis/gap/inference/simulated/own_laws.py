@@ -15,7 +15,11 @@ from asi_analysis.gap.inference.coloured_noise import not_white, with_noise_of_v
 from asi_analysis.gap.inference.fit import Fitted
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
+from asi_analysis.gap.inference.simulated.behind_valve import (
+    behind_valve,
+    gain_is_off,
+    with_free_gain,
+)
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     with_fine_substeps,
@@ -25,12 +29,7 @@ from asi_analysis.gap.inference.simulated.fits import (
 from asi_analysis.gap.inference.simulated.formulation import goal_beside, in_formulation
 from asi_analysis.gap.inference.simulated.found import Found, cost_of
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
-from asi_analysis.gap.inference.simulated.search import (
-    gain_is_off,
-    single_effects,
-    with_free_gain,
-    with_pairs,
-)
+from asi_analysis.gap.inference.simulated.search import single_effects, with_pairs
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, has_one_law
 from asi_analysis.gap.model.group import Group

@@ -33,7 +33,11 @@ from asi_analysis.gap.inference.posterior import (
     of_first_part,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.behind_valve import behind_valve
+from asi_analysis.gap.inference.simulated.behind_valve import (
+    behind_valve,
+    gain_is_off,
+    with_free_gain,
+)
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     columns_of,
@@ -70,9 +74,7 @@ from asi_analysis.gap.inference.simulated.special_cases import (
     special_cases,
 )
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
-from asi_analysis.gap.model.effects import Free
-from asi_analysis.gap.model.group import OF_VALVE_GAIN, VALVE_GAIN, Group
-from asi_analysis.gap.model.simulator import metres_per_newton
+from asi_analysis.gap.model.group import Group
 
 # The cost that a fit must reach beside the best one, of the same base, and the nominal model.
 Goal = Callable[[Found, Found], float]
@@ -81,6 +83,8 @@ Goal = Callable[[Found, Found], float]
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
 RIVALS = 7   # effects that are fitted in place of that of the best fit
+# Of the power that an effect explains, a form of it that is not the machine's leaves less.
+LEFT_BY_FORM = 0.25
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -113,34 +117,6 @@ def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
         return [None, None]
     return [(weighed_of(first.found, alone, True) if changed else None) or first.weighed,
             None if second is None else second.weighed]
-
-
-def gain_is_off(valve: np.void, behind: Group, gain: Free | None) -> bool:
-    """
-    Return whether the fitted gain of the valve is improbable, so that it is an answer of its own.
-
-    By the normal priors of all factors of the gain. valve: the record of the valve's fit; behind:
-    the group of what follows it; gain: the uncertain gain, as `with_free_gain` returns it.
-    """
-    if gain is None:
-        return False
-    factors = (gain, *(free for free in behind.nuisance if free.field in OF_VALVE_GAIN
-                       and free.field != VALVE_GAIN))
-    variance = sum(free.prior ** 2 for free in factors)
-    off = math.log(metres_per_newton(valve) / metres_per_newton(behind.nominal))
-    return 0.5 * off ** 2 / variance > ODDS_AGAINST
-
-
-def with_free_gain(valve: Group) -> tuple[Group, Free | None]:
-    """
-    Return the valve with a gain of any size, and the uncertain gain.
-
-    The position shows only the product of the gain with full opening over maximum force, so the
-    tolerance of the gain is judged with what follows the valve.
-    """
-    gain = next((free for free in valve.nuisance if free.field == VALVE_GAIN), None)
-    return replace(valve, nuisance=tuple(
-        free._replace(prior=math.inf) if free is gain else free for free in valve.nuisance)), gain
 
 
 class _Explained(NamedTuple):
@@ -456,17 +432,21 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
 
-    # One form of each effect first: the best of them is the goal of further forms.
-    first = {form.names: form for form in (*reversed(remaining), leader)}
+    # The best form of each effect first: what they reach is the goal of further forms, and an
+    # effect of which one form explains little is not the cause in another.
+    first = {form.names: form for form in (*reversed(remaining), *ranked)}
+    done, hopeless_names = [leader], set[Names]()
     for further in (False, True):
-        done = [leader]
         for found in problem.in_parallel(converged_fit, [
-                form for form in remaining if (form is not first[form.names]) == further]):
+                form for form in remaining if (form is not first[form.names]) == further
+                and form.names not in hopeless_names]):
             keep(found)
             done.append(found)
             tick()
         best = min(done, key=cost_of)
         most, beside = min(most, goal(best, null)), best.best.cost + COST_RANGE
+        hopeless_names = {found.names for found in done if found.best.cost - most > (
+            LEFT_BY_FORM * max(null.best.cost - most, 0.0))}
     best = min(fits.values(), key=cost_of)
     for form in special_cases(best, [*rough, *remaining]):
         keep(from_values_of(best, form, most))
