@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -108,19 +109,6 @@ def _share(parameter: FreeParameter, value: float) -> float:
     return min(max(parameter.share(value), 0.001), 0.999)
 
 
-def _record(group: Group, free: Sequence[Free], theta: Array,
-            fixed: Sequence[tuple[str, float]]) -> np.void:
-    """Return the plant's record at a parameter vector (shares of the ranges)."""
-    p = copy_of(group.nominal)
-    for name, value in fixed:
-        p[name] = value
-    ratios_last = sorted(zip(free, theta, strict=True),
-                         key=lambda pair: pair[0].scale in NOMINAL_FIELDS)
-    for parameter, share in ratios_last:
-        p[parameter.field] = _parameter(parameter, group, p).value(float(share))
-    return p
-
-
 def _comparable(recording: Recording, fit_on: Sequence[Recording]) -> npt.NDArray[np.bool_]:
     """Return the held-out samples whose inputs are within the range of the fitted parts."""
     inside = recording.held_out.copy()
@@ -197,9 +185,24 @@ class Problem:
     _key: bytes = b''
     _last: list[Array] = field(default_factory=list)
 
+    @cached_property
+    def parameters(self) -> tuple[FreeParameter, ...]:
+        """Return the free parameters with their bounds in their own units."""
+        return tuple(self.parameter(free) for free in self.free)
+
     def record(self, theta: Array) -> np.void:
-        """Return the plant's record at a parameter vector."""
-        return _record(self.group, self.free, theta, self.fixed)
+        """Return the plant's record at a parameter vector (shares of the ranges)."""
+        p, ratios = copy_of(self.group.nominal), []
+        for name, value in self.fixed:
+            p[name] = value
+        for free, parameter, share in zip(self.free, self.parameters, theta, strict=True):
+            if free.scale in NOMINAL_FIELDS:
+                ratios.append((free, share))
+            else:
+                p[free.field] = parameter.value(float(share))
+        for free, share in ratios:
+            p[free.field] = _parameter(free, self.group, p).value(float(share))
+        return p
 
     def parameter(self, free: Free) -> FreeParameter:
         """Return a free parameter with its bounds in its own unit."""

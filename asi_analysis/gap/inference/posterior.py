@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
 
@@ -179,17 +180,16 @@ class Posterior(Problem):
             (CURVATURE_STEP, -CURVATURE_STEP))
         return (ahead - 2.0 * base + back) / CURVATURE_STEP ** 2
 
-    @property
+    @cached_property
     def prior(self) -> tuple[Array, Array]:
         """Return mean and precision (1 / variance) of the normal priors; 0 where there is none."""
-        parameters = [self.parameter(free) for free in self.free]
-        return (np.array([each.share(each.nominal) for each in parameters]),
-                np.array([each.prior ** -2.0 for each in parameters]))
+        return (np.array([each.share(each.nominal) for each in self.parameters]),
+                np.array([each.prior ** -2.0 for each in self.parameters]))
 
     @property
     def nominal(self) -> Array:
         """Return the nominal parameter values, with the gain of the valve that was measured."""
-        theta = self.prior[0]
+        theta = self.prior[0].copy()
         for number, free in enumerate(self.free):
             if free.field == VALVE_GAIN:
                 p = with_valve_gain(self.group, self.record(theta))
