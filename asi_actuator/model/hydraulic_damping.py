@@ -26,7 +26,7 @@ def saturation(x, tail):
     tail: how slowly; -1: error function, 0: hyperbolic tangent, 1: x / sqrt(1 + x^2), 2: arc
     tangent.
     """
-    if tail > 1.0:   # without the tangent, which takes a third of the time
+    if tail > 1.0:   # without the hyperbolic tangent, which takes a third of the time
         root, along = 1.0 / math.sqrt(1.0 + x * x), 0.5 * math.pi * x
         bounded = (2.0 - tail) * x * root + (tail - 1.0) * math.atan(along) * 2.0 / math.pi
         return bounded, ((2.0 - tail) * root * root * root

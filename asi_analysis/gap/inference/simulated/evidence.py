@@ -42,7 +42,7 @@ STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 
 AT_END, LEAST_CURVATURE = 1e-6, 1e-3
 # Differences for the volume: at first, of a parameter without a normal prior, as a share of its
 # range; then in standard deviations along the axes of the posterior, in so many passes, unless
-# one changes the log volume by less than SAME.
+# one changes the log of the product of these differences by less than SAME.
 WIDEST, AXIS, PASSES, SAME = 0.3, 2.0, 2, 0.1
 ROUNDS = 2   # so many Jacobians of a fit with another weight of the data: it starts nearby
 

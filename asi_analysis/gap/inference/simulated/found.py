@@ -32,7 +32,7 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 # A fit whose log posterior is farther below the best is given up; if that is so of the
 # simulator's own laws, the machine's are formulated in another way.
 COST_RANGE = 50.0
-# Nearest to nominal: so many Jacobians, until they lower the prior's cost by little; the least
+# Nearest to nominal: so many Jacobians, unless one lowers the prior's cost by little; the least
 # weight of the data, bisections to find it; halvings of a step that goes too far.
 NEARER, LITTLE, LEAST_WEIGHT, BISECTIONS, HALVINGS = 4, 0.1, 0.5 ** 8, 6, 4
 
@@ -209,10 +209,10 @@ def nearest_to_nominal(found: Found, equal: Array) -> Found:
 
     equal: mean square residual of each channel, in error floors, that the model error explains.
     The data get the least weight with which the residual stays below it (the discrepancy
-    principle, Morozov 1966): that of the linearised problem, found again about each fit.
+    principle, Morozov 1966): that of the linearised problem, again about what it gives.
     """
     for _ in range(NEARER):
-        nearer = _nearer(found, equal)
+        nearer = _nearer(found, equal) if found.prior_cost > LITTLE else None
         if nearer is None or nearer.prior_cost > found.prior_cost - LITTLE:
             break
         found = nearer
@@ -233,9 +233,10 @@ def _nearer(found: Found, equal: Array) -> Found | None:
     there = found.lighter(_least_weight(found, slopes, equal), 1)
     for _ in range(HALVINGS):   # the posterior is not linear
         if is_equal(there):
-            return there
+            break
         there = found.at(0.5 * (found.best.theta + there.best.theta))
-    return None
+    # Of a Jacobian there, only an update is known.
+    return there._replace(best=there.best._replace(slopes=None)) if is_equal(there) else None
 
 
 def _least_weight(found: Found, slopes: Array, equal: Array) -> float:

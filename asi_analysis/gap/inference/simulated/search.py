@@ -83,8 +83,6 @@ Goal = Callable[[Found, Found], float]
 # of them, beside the best, until convergence.
 ROUGH_FITS, ROUGH_ROUNDS, FULL_FITS = 7, 1, 3
 RIVALS = 7   # effects that are fitted in place of that of the best fit
-# Of the power that an effect explains, a form of it that is not the machine's leaves less.
-LEFT_BY_FORM = 0.25
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -432,21 +430,18 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
 
-    # The best form of each effect first: what they reach is the goal of further forms, and an
-    # effect of which one form explains little is not the cause in another.
+    # One form of each effect first, the best if they were fitted roughly: the least cost that these
+    # reach is the goal of further forms.
     first = {form.names: form for form in (*reversed(remaining), *ranked)}
-    done, hopeless_names = [leader], set[Names]()
     for further in (False, True):
+        done = [leader]
         for found in problem.in_parallel(converged_fit, [
-                form for form in remaining if (form is not first[form.names]) == further
-                and form.names not in hopeless_names]):
+                form for form in remaining if (form is not first[form.names]) == further]):
             keep(found)
-            done.append(found)
+            done += [] if never_slides(found) else [found]
             tick()
         best = min(done, key=cost_of)
         most, beside = min(most, goal(best, null)), best.best.cost + COST_RANGE
-        hopeless_names = {found.names for found in done if found.best.cost - most > (
-            LEFT_BY_FORM * max(null.best.cost - most, 0.0))}
     best = min(fits.values(), key=cost_of)
     for form in special_cases(best, [*rough, *remaining]):
         keep(from_values_of(best, form, most))
