@@ -430,8 +430,8 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
                 or found.criterion < earlier.criterion):
             fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
 
-    # One form of each effect first, the best if they were fitted roughly: the least cost that these
-    # reach is the goal of further forms.
+    # One form of each effect first, the best if they were fitted roughly: the least cost that
+    # these reach is the goal of further forms.
     first = {form.names: form for form in (*reversed(remaining), *ranked)}
     for further in (False, True):
         done = [leader]
