@@ -438,7 +438,8 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         for found in problem.in_parallel(converged_fit, [
                 form for form in remaining if (form is not first[form.names]) == further]):
             keep(found)
-            done += [] if never_slides(found) else [found]
+            if not never_slides(found):
+                done.append(found)
             tick()
         best = min(done, key=cost_of)
         most, beside = min(most, goal(best, null)), best.best.cost + COST_RANGE
