@@ -199,8 +199,8 @@ ACTUATOR_PARAMETERS: Final = ActuatorTable((
               'cylinder: between oil and force sensor; load: behind the force sensor',
               choices=('cylinder', 'load')),
     Parameter('friction.softening', 0.0, '',
-              'How stiction falls to Coulomb friction while the seals slide faster; 0: they are '
-              'deflected less (LuGre); 1: they soften (a Stribeck curve times Maxwell slip)',
+              'How friction depends on velocity and direction; 0: seals are deflected less where '
+              'it is lower (LuGre); 1: they are softer (a Stribeck curve times Maxwell slip)',
               0.0, 1.0),
     Parameter('friction.element_ratio', 1.0, '',
               'The seals are four elements in parallel, and each slides after so many times the '

@@ -31,13 +31,14 @@ PERIOD_S: Final = 1e-4
 TIME_S: Final = np.arange(20000) * PERIOD_S
 # Velocity (m/s): tones of no common period, so that reversals within reversals occur.
 VELOCITY: Final = 0.01 * sum(np.sin(2.0 * np.pi * f * TIME_S + f) for f in (1.3, 4.1, 11.7))
-# Friction of others: Coulomb, breakaway ahead and back (N), Stribeck velocity (m/s), slip distance
-# (m), exponent of Dahl's law (0: Maxwell slip).
+# Friction of others: Coulomb friction and breakaway, each ahead and back (N), Stribeck velocity
+# (m/s), slip distance (m), exponent of Dahl's law (0: Maxwell slip).
 OTHERS: Final = {
-    'Coulomb, Maxwell slip': (40.0, 40.0, 40.0, 0.005, 5e-5, 0.0),
-    "Coulomb, Dahl's law, exponent 0.5": (40.0, 40.0, 40.0, 0.005, 5e-5, 0.5),
-    "Coulomb, Dahl's law, exponent 2": (40.0, 40.0, 40.0, 0.005, 5e-5, 2.0),
-    'with stiction, Maxwell slip': (7.0, 27.0, 15.0, 0.005, 1.2e-4, 0.0),
+    'Coulomb, Maxwell slip': (40.0, 40.0, 40.0, 40.0, 0.005, 5e-5, 0.0),
+    "Coulomb, Dahl's law, exponent 0.5": (40.0, 40.0, 40.0, 40.0, 0.005, 5e-5, 0.5),
+    "Coulomb, Dahl's law, exponent 2": (40.0, 40.0, 40.0, 40.0, 0.005, 5e-5, 2.0),
+    'with stiction, Maxwell slip': (7.0, 7.0, 27.0, 15.0, 0.005, 1.2e-4, 0.0),
+    'asymmetric Coulomb, Maxwell slip': (56.0, 24.0, 56.0, 24.0, 0.005, 5e-5, 0.0),
 }
 SIZES: Final = {'friction.coulomb': (1.0, 100.0), 'friction.stiction_push': (1.0, 100.0),
                 'friction.stiction_pull': (1.0, 100.0),
@@ -48,6 +49,7 @@ SLIP, EXPONENT, RATIO, SOFTENING = ({'friction.presliding_slip': (0.0, 1.0)},
                                     {'friction.presliding_exponent': (0.5, 3.0)},
                                     {'friction.element_ratio': (1.0, 6.0)},
                                     {'friction.softening': (0.0, 1.0)})
+ASYMMETRY: Final = {'friction.coulomb_asymmetry': (-0.9, 0.9)}
 CHOICES: Final = {'slip': SLIP, 'exponent': EXPONENT, 'elements': SLIP | RATIO,
                   'softening': SLIP | SOFTENING, 'elements, softening': SLIP | RATIO | SOFTENING}
 STARTS: Final = (0.2, 0.6)   # shares of the range of a choice
@@ -57,12 +59,12 @@ STARTS: Final = (0.2, 0.6)   # shares of the range of a choice
 def others_friction(velocity, law, out):
     """Fill in the friction (N) of others at velocities (m/s), in steps ten times shorter."""
     elements = np.zeros(SLIPS)
-    coulomb, ahead, back, stribeck, distance, dahl = law
+    coulomb_ahead, coulomb_back, ahead, back, stribeck, distance, dahl = law
     for k in range(1, velocity.size):
         for j in range(10):
             v = velocity[k - 1] + (j + 1.0) / 10.0 * (velocity[k] - velocity[k - 1])
-            out[k] = maxwell_slip(elements, v, coulomb, coulomb, ahead, back, stribeck, distance,
-                                  dahl, 0.1 * PERIOD_S)
+            out[k] = maxwell_slip(elements, v, coulomb_ahead, coulomb_back, ahead, back,
+                                  stribeck, distance, dahl, 0.1 * PERIOD_S)
 
 
 @jit
@@ -77,7 +79,7 @@ def own_friction(velocity, p, out):
 
 def least_left(truth: Array, choice: dict[str, tuple[float, float]]) -> float:
     """Return the rms (N) that the best fit of sizes and of a choice leaves of a friction (N)."""
-    ranges = SIZES | choice
+    ranges = SIZES | ASYMMETRY | choice
     # A law that begins to slide by its exponent is Dahl's.
     p = as_record({'friction.model': 'full', 'friction.presliding_slip': 1.0})
 
@@ -94,7 +96,7 @@ def least_left(truth: Array, choice: dict[str, tuple[float, float]]) -> float:
                'friction.presliding_stiffness': 5e5, 'friction.presliding_damping': 10.0}
     begin = [np.log(guesses[name] / low) / np.log(high / low)
              for name, (low, high) in SIZES.items()]
-    fits = [least_squares(residual, [*begin, *(start for _ in choice)], bounds=(0.0, 1.0),
+    fits = [least_squares(residual, [*begin, 0.5, *(start for _ in choice)], bounds=(0.0, 1.0),
                           diff_step=1e-4, max_nfev=60) for start in STARTS]
     return float(np.sqrt(2.0 * min(fit.cost for fit in fits) / truth.size))
 

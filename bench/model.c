@@ -288,31 +288,34 @@ static inline double steady_friction(int forward, double left, const struct para
     return coulomb + (stiction(forward, p) - coulomb) * left;
 }
 
-static inline double softens(int forward, const struct parameters *p)
+static inline double common_friction(const struct parameters *p)
 {
-    return stiction(forward, p) <= coulomb_friction(forward, p) ? 0.0 : p->friction_softening;
+    return 0.5 * (fmax(stiction(1, p), coulomb_friction(1, p))
+                  + fmax(stiction(0, p), coulomb_friction(0, p)));
 }
 
 static inline double breakaway_deflection(int forward, double left, const struct parameters *p)
 {
-    double force = steady_friction(forward, left, p), softening = softens(forward, p);
+    double force = steady_friction(forward, left, p), softening = p->friction_softening;
     if (softening != 0.0)
-        force += softening * (stiction(forward, p) - force);
+        force += softening * (common_friction(p) - force);
     return force / p->friction_presliding_stiffness;
 }
 
 static inline double softened(int forward, double velocity, double left,
                               const struct parameters *p, double *slope)
 {
-    double softening = softens(forward, p);
+    double softening = p->friction_softening;
     *slope = 0.0;
     if (softening == 0.0)
         return 1.0;
     double slides = steady_friction(forward, left, p);
-    double held = stiction(forward, p), whole = slides + softening * (held - slides);
+    double common = common_friction(p), whole = slides + softening * (common - slides);
+    if (whole == 0.0)
+        return 1.0;
     double falls = 2.0 * velocity / (p->friction_stribeck_velocity * p->friction_stribeck_velocity)
         * (slides - coulomb_friction(forward, p));
-    *slope = -softening * held / (whole * whole) * falls;
+    *slope = -softening * common / (whole * whole) * falls;
     return slides / whole;
 }
 

@@ -10,7 +10,8 @@ sensor. Books formulate these laws in several ways, so, null by default as well:
 in gradually, with an exponent (Dahl, "A solid friction model", 1968; with damping: LuGre, Canudas
 de Wit, Olsson, Astrom, Lischinsky, IEEE Trans. Automatic Control 40, 1995); elements in parallel
 that slide one after the other (Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic
-Control 50, 2005); stiction that falls with the stiffness of the seals, not with their deflection.
+Control 50, 2005); friction that falls, with the velocity or in one direction, with the stiffness
+of the seals, not with their deflection.
 """
 
 import math
@@ -85,19 +86,17 @@ def held_friction(forward, p):
 
 
 @jit
-def softens(forward, p):
-    """Return how far the stiffness falls in place of the deflection, 0 to 1, in a direction."""
-    if p.friction_softening == 0.0 or stiction(forward, p) <= coulomb_friction(forward, p):
-        return 0.0
-    return p.friction_softening
+def common_friction(p):
+    """Return the friction (N) that goes with the common deflection of seals that soften."""
+    return 0.5 * (held_friction(True, p) + held_friction(False, p))
 
 
 @jit
 def breakaway_deflection(forward, left, p):
     """Return the deflection (m) of the seals when sliding steadily; left: from `stribeck`."""
-    force, softening = steady_friction(forward, left, p), softens(forward, p)
+    force, softening = steady_friction(forward, left, p), p.friction_softening
     if softening != 0.0:
-        force += softening * (stiction(forward, p) - force)
+        force += softening * (common_friction(p) - force)
     return force / p.friction_presliding_stiffness
 
 
@@ -109,14 +108,16 @@ def softened(forward, velocity, left, p):
     forward: whether their deflection is; velocity: m/s, with which the slope is the derivative;
     left: from `stribeck`, at that velocity.
     """
-    softening = softens(forward, p)
+    softening = p.friction_softening
     if softening == 0.0:
         return 1.0, 0.0
-    slides, held = steady_friction(forward, left, p), stiction(forward, p)
-    whole = slides + softening * (held - slides)
+    slides, common = steady_friction(forward, left, p), common_friction(p)
+    whole = slides + softening * (common - slides)
+    if whole == 0.0:
+        return 1.0, 0.0
     falls = (2.0 * velocity / p.friction_stribeck_velocity ** 2
              * (slides - coulomb_friction(forward, p)))
-    return slides / whole, -softening * held / whole ** 2 * falls
+    return slides / whole, -softening * common / whole ** 2 * falls
 
 
 @jit
@@ -258,6 +259,7 @@ def largest_deflection(p):
     """Return the deflection (m) at rest beyond which the last element of the seals slides."""
     count, reach = elements(p)
     held = max(held_friction(True, p), held_friction(False, p))
+    held += p.friction_softening * (common_friction(p) - held)
     return reach * p.friction_element_ratio ** (count - 1) * held / p.friction_presliding_stiffness
 
 

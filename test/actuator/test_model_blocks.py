@@ -372,11 +372,25 @@ def test_slope_of_friction_that_softens_is_its_derivative(
     assert at(velocity).slope == pytest.approx(numerical, rel=0.02, abs=1.0)
 
 
-def test_softening_needs_a_stiction_above_coulomb_friction() -> None:
-    values: dict[str, Value] = {'friction.coulomb': 20.0, 'friction.stiction_push': 10.0}
+def test_softening_needs_a_friction_that_depends_on_velocity_or_direction() -> None:
+    values: dict[str, Value] = dict.fromkeys(
+        ('friction.coulomb', 'friction.stiction_push', 'friction.stiction_pull'), 20.0)
     path = np.linspace(0.0, 2e-3, 400)
     np.testing.assert_array_equal(seal_force(path, 1e-3, values | {'friction.softening': 1.0}),
                                   seal_force(path, 1e-3, values))
+
+
+def test_seals_that_soften_in_one_direction_are_deflected_as_in_the_other() -> None:
+    values: dict[str, Value] = {
+        'friction.coulomb': 20.0, 'friction.stiction_push': 5.0, 'friction.stiction_pull': 5.0,
+        'friction.stribeck_velocity': 1e-6, 'friction.presliding_damping': 0.0}
+    path = 1e-3 * np.sin(np.linspace(0.0, 20.0, 2000)) + 4e-4 * np.sin(np.linspace(0, 70.0, 2000))
+    alike = seal_force(path, 1e-3, values)
+    ours = seal_force(path, 1e-3, values | {
+        'friction.coulomb_asymmetry': -0.4, 'friction.softening': 1.0})
+    np.testing.assert_allclose(ours, alike * np.where(alike >= 0.0, 0.6, 1.4), atol=1e-5)
+    hard = seal_force(path, 1e-3, values | {'friction.coulomb_asymmetry': -0.4})
+    assert np.abs(hard - ours).max() > 5.0   # with the deflection: another law
 
 
 def test_elements_that_are_switched_off_are_forgotten() -> None:

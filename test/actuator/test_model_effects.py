@@ -326,7 +326,7 @@ def test_stiction_that_falls_with_the_stiffness_of_the_seals(softening: float) -
     def levels(side: Any, v: Any) -> tuple[Any, Any]:
         held = np.where(side >= 0.0, push, pull)
         sliding = coulomb + (held - coulomb) * np.exp(-(v / stribeck) ** 2)
-        return sliding, sliding + softening * (held - sliding)
+        return sliding, sliding + softening * (0.5 * (push + pull) - sliding)
 
     def rate(t: float, z: Any) -> Any:
         v = speed(t)

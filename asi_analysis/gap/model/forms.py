@@ -171,7 +171,8 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         *(_form(MOVED, asymmetry, _scaled('friction_coulomb', 0.0, 20.0, (1.0, 4.0)), *more,
                 needs=('friction_model',))
           for more in ((), _BREAKAWAY) for asymmetry in _ASYMMETRIES),
-        *(form for asymmetry in _ASYMMETRIES for form in _first_friction(asymmetry)),
+        *(form for asymmetry in _ASYMMETRIES
+          for form in _first_friction(asymmetry, Free('friction_softening', 0.0, 1.0, (0.5,)))),
     ),
     'viscous_friction': (
         _form(MOVED, Free('friction_viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m')),
