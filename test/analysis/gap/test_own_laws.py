@@ -13,7 +13,7 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.diagnose import diagnose, improved_of
+from asi_analysis.gap.diagnose import diagnose, document, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Best, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import uneven_delay
@@ -346,15 +346,19 @@ def test_a_pair_that_is_far_off_where_a_chirp_begins_is_fitted_to_the_end():
 
 
 @pytest.mark.slow
-def test_friction_whose_elements_slide_one_by_one_is_asymmetric():
+@pytest.mark.parametrize(('softening', 'stribeck'), [(0.0, 0.005), (1.0, 1e-6)])
+def test_friction_whose_elements_slide_one_by_one_is_asymmetric(softening, stribeck):
     """With asymmetry for Dahl's law alone, this was even friction of elements, with certainty."""
     answer = diagnose([recorded(
-        friction__model='full', friction__coulomb=30.0, friction__stiction_push=30.0,
+        friction__model='full', friction__softening=softening,
+        friction__stribeck_velocity=stribeck, friction__coulomb=30.0, friction__stiction_push=30.0,
         friction__stiction_pull=30.0, friction__presliding_stiffness=2.3e6,
         friction__presliding_slip=0.17, friction__element_ratio=1.8,
         friction__presliding_damping=630.0, friction__coulomb_asymmetry=0.57)], TEXTBOOK)
     assert answer.verdict == ('friction_asymmetry',)
     assert answer.joined[answer.verdict] > 0.9
+    sizes = document(answer)['which'][0]['parameters']
+    assert sizes['friction_coulomb_asymmetry'] == pytest.approx(0.57, abs=0.06)
 
 
 def test_friction_that_hardly_slides_is_a_spring():
