@@ -315,7 +315,7 @@ static inline double softened(int forward, double velocity, double left,
         return 1.0;
     double falls = 2.0 * velocity / (p->friction_stribeck_velocity * p->friction_stribeck_velocity)
         * (slides - coulomb_friction(forward, p));
-    *slope = -softening * common / (whole * whole) * falls;
+    *slope = -softening * (common / whole) * (falls / whole);
     return slides / whole;
 }
 

@@ -117,7 +117,8 @@ def softened(forward, velocity, left, p):
         return 1.0, 0.0
     falls = (2.0 * velocity / p.friction_stribeck_velocity ** 2
              * (slides - coulomb_friction(forward, p)))
-    return slides / whole, -softening * common / whole ** 2 * falls
+    # The square of a tiny force would be 0.
+    return slides / whole, -softening * (common / whole) * (falls / whole)
 
 
 @jit

@@ -393,6 +393,14 @@ def test_seals_that_soften_in_one_direction_are_deflected_as_in_the_other() -> N
     assert np.abs(hard - ours).max() > 5.0   # with the deflection: another law
 
 
+@pytest.mark.parametrize('pull', [1.5e-201, 1e-310, 0.0])
+@pytest.mark.parametrize('velocity', [-1e-3, 0.0, 1e-9, 0.2])
+def test_the_slope_of_a_tiny_friction_that_softens_is_finite(pull: float, velocity: float) -> None:
+    p = as_record({'friction.coulomb': 0.0, 'friction.stiction_push': 0.0,
+                   'friction.stiction_pull': pull, 'friction.softening': 1.0})
+    assert np.isfinite(friction(np.zeros(SEALS_SHAPE), velocity, velocity, p, 1e-4)).all()
+
+
 def test_elements_that_are_switched_off_are_forgotten() -> None:
     seals = deflected_seals(1e-3, as_record({'friction.element_ratio': 3.0}))
     p = as_record()
