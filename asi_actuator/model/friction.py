@@ -103,10 +103,10 @@ def breakaway_deflection(forward, left, p):
 @jit
 def softened(forward, velocity, left, p):
     """
-    Return the stiffness of the seals as a share of that at rest, and its slope (s/m).
+    Return the stiffness of the seals as a share of p.friction_presliding_stiffness, and its slope.
 
-    forward: whether their deflection is; velocity: m/s, with which the slope is the derivative;
-    left: from `stribeck`, at that velocity.
+    forward: whether their deflection is; velocity: m/s, with which the slope (s/m) is the
+    derivative; left: from `stribeck`, at that velocity.
     """
     softening = p.friction_softening
     if softening == 0.0:
