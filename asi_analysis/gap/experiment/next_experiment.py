@@ -18,9 +18,11 @@ from asi_analysis.gap.model.predict import predict
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_common.parameter import Value
+from asi_controller.parameters import REFERENCE_PARAMETERS
 
 RATE_HZ, DURATION_S = 1000.0, 6.0
 LOADS = next(p for p in ACTUATOR_PARAMETERS if p.name == 'load.type').choices
+LARGEST_N = next(p for p in REFERENCE_PARAMETERS if p.name == 'reference.amplitude').high
 # With so small a gain only the feedforward of the reference acts: open loop.
 OPEN: dict[str, Value] = {'compensator': 'proportional', 'gain': 1e-6}
 LOOP: dict[str, Value] = {'compensator': 'proportional', 'gain': 3.0}
@@ -87,7 +89,12 @@ CATALOGUE = (
 
 
 def settings(experiment: Experiment, force: float) -> dict[str, Value]:
-    """Return the controller's parameters of an experiment; force: the largest, N."""
+    """
+    Return the controller's parameters of an experiment.
+
+    force: the largest, N; above what the controller allows, that is taken.
+    """
+    force = min(force, LARGEST_N)
     return {**experiment.controller, 'reference.amplitude': experiment.size * force,
             'reference.offset': experiment.offset * force, 'reference.start': 0.05} | (
         {'reference.duration': DURATION_S - 0.05}

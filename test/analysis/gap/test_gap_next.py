@@ -59,6 +59,14 @@ def test_line_is_the_experiment_that_was_imagined(experiment: Experiment) -> Non
         settings(experiment, 300.0), CONTROLLER_PARAMETERS)
 
 
+@pytest.mark.parametrize('experiment', CATALOGUE, ids=lambda experiment: experiment.name)
+def test_experiment_for_a_large_machine_is_one_that_the_controller_allows(
+        experiment: Experiment) -> None:
+    """A press had 13 kN, and the diagnosis ended with "reference.amplitude is not allowed"."""
+    values = completed(settings(experiment, 13250.0), CONTROLLER_PARAMETERS)
+    assert 0.0 < values['reference.amplitude'] <= 1e4
+
+
 def test_experiment_that_would_not_move_the_nominal_actuator_is_left_out(monkeypatch: Any) -> None:
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][0]
     late = group.nominal.copy()
