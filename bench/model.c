@@ -49,8 +49,8 @@ static inline double fast_tanh(double x)
 
 static inline struct first_order first_order(double frequency, double h)
 {
-    double x = 2.0 * M_PI * frequency * h, mean = -expm1(-x) / x, keep = exp(-x);
-    return (struct first_order){keep, mean - keep, 1.0 - mean};
+    double x = 2.0 * M_PI * frequency * h, lost = -expm1(-x), mean = lost / x;
+    return (struct first_order){1.0 - lost, mean - (1.0 - lost), 1.0 - mean};
 }
 
 static struct first_order lag_of(double time, double h)
@@ -219,6 +219,8 @@ struct curve { double magnitude, extending, retracting, width, at_rest, size; };
 static inline struct curve damping_curve(double opening, const struct parameters *p)
 {
     double size = fabs(opening), share = p->hydraulic_damping_centre_share;
+    if (p->hydraulic_damping_model != FULL)
+        return (struct curve){.size = size};
     double centre = p->hydraulic_damping_saturation_velocity
         - p->hydraulic_damping_saturation_narrowing * size;
     double shift = p->hydraulic_damping_saturation_shift * opening;
@@ -319,21 +321,21 @@ static inline double softened(int forward, double velocity, double left,
     return slides / whole;
 }
 
-static inline double sliding(double deflection, double velocity, double limit,
-                             const struct parameters *p)
+static inline double sliding(double along, const struct parameters *p)
 {
     double slip = p->friction_presliding_slip, exponent = p->friction_presliding_exponent;
-    double elastic = ELASTIC_SHARE * limit, size = fabs(deflection), share = 1.0;
+    double share = 1.0;
     if (slip != 1.0) {
-        if (deflection * velocity <= 0.0 || size <= elastic)
+        if (along <= ELASTIC_SHARE)
             share = 0.0;
-        else if (size < limit)
-            share = 0.5 + 0.5 * sin(M_PI * (size - 0.5 * (limit + elastic)) / (limit - elastic));
+        else if (along < 1.0)
+            share = 0.5 + 0.5 * sin(M_PI / (1.0 - ELASTIC_SHARE)
+                                    * (along - 0.5 * (1.0 + ELASTIC_SHARE)));
         share += slip * (1.0 - share);
     }
     if (exponent == 1.0)
         return share;
-    double slides = fmax(share * copysign(1.0, velocity) * deflection / limit, -1.0);
+    double slides = fmax(share * along, -1.0);
     if (fabs(slides) < NEAR)
         return exponent * share;
     return slides >= 1.0 ? share : share * (1.0 - pow(1.0 - slides, exponent)) / slides;
@@ -345,17 +347,16 @@ static inline double deflect(double before, double velocity, double limit,
     *slope = 0.0;
     if (limit < LEAST_LIMIT)
         return 0.0;
-    double speed = fabs(velocity);
-    double loss = sliding(before, velocity, limit, p) / limit;
+    double speed = fabs(velocity), forward = copysign(1.0, velocity), inverse = 1.0 / limit;
+    double loss = sliding(forward * before * inverse, p) * inverse;
     double middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed);
-    loss = sliding(middle, velocity, limit, p) / limit;
-    double x = h * loss * speed, fall = 1.0 + x + 0.5 * x * x;
-    double after = (before + h * velocity * (1.0 + 0.5 * x)) / fall;
+    loss = sliding(forward * middle * inverse, p) * inverse;
+    double x = h * loss * speed, whole = 1.0 / (1.0 + x + 0.5 * x * x);
+    double after = (before + h * velocity * (1.0 + 0.5 * x)) * whole;
     double bound = fmax(limit, fabs(before));
     if (fabs(after) > bound)
         return copysign(bound, after);
-    double along = copysign(1.0, velocity) * after;
-    *slope = 0.5 * h * (1.0 + x) / fall * fmax(0.0, 1.0 - loss * along);
+    *slope = 0.5 * h * (1.0 + x) * whole * fmax(0.0, 1.0 - loss * forward * after);
     return after;
 }
 
@@ -396,13 +397,13 @@ static inline struct rub friction(double (*seals)[ELEMENTS], double mean_velocit
         seals[SLOPE][i] = deflects;
         double share = after >= 0.0 ? ahead : back;
         double share_slope = after >= 0.0 ? ahead_slope : back_slope;
-        double stiffness = p->friction_presliding_stiffness / (count * reach);
+        double part = 1.0 / (count * reach), stiffness = p->friction_presliding_stiffness * part;
         r.force += share * stiffness * after;
         r.slope += stiffness * (share * deflects + share_slope * after);
         if (damped) {
-            double along = fmax(direction * after / (reach * limit), -1.0);
-            double elastic = fmax(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along);
-            double damping = p->friction_presliding_damping * elastic / (count * reach);
+            double along = direction * after / (reach * limit);
+            double elastic = fmax(0.0, 1.0 - sliding(along, p) * fmax(along, -1.0));
+            double damping = p->friction_presliding_damping * part * elastic;
             r.force += damping * velocity;
             r.slope += damping;
         }
@@ -536,6 +537,8 @@ static inline void load(struct state *s, double static_before, double opening,
     double begin = pushed - stiffness * (s->position - held.origin)
         + 0.5 * (s->hydraulic_force - s->friction_force);
     double low = -INFINITY, high = INFINITY, change = 0.0, damping = 0.0, slope = 0.0;
+    int linear = p->friction_model != FULL && p->hydraulic_damping_model != FULL
+        && p->hydraulic_damping_quadratic == 0.0;
     double hydraulic = 0.0;
     struct rub rub = {0};
     for (int round = 0; round < MOST_ROUNDS; round++) {
@@ -551,7 +554,7 @@ static inline void load(struct state *s, double static_before, double opening,
         double steepness = inertia + 0.25 * h * stiffness
             + 0.5 * (fluid.new * slope + rub.slope + damper);
         change = -residual / fmax(steepness, LEAST_STEEPNESS * inertia);
-        if (fabs(change) <= LINEAR_STEP)
+        if (linear || fabs(change) <= LINEAR_STEP)
             break;
         if (residual > 0.0)
             high = velocity;

@@ -77,7 +77,7 @@ def slopes(x, command, flux, p):
     static = (valve_characteristic(position, p)
               - hydraulic_damping(velocity, valve_opening(position, p), p))
     limit = sliding_friction(velocity, p) / p.friction_presliding_stiffness
-    loss = sliding_share(x[SEAL], velocity, limit) / limit
+    loss = sliding_share(np.copysign(1.0, velocity) * x[SEAL] / limit) / limit
     elastic = max(0.0, 1.0 - loss * abs(x[SEAL]))
     seal_force = (p.friction_presliding_stiffness * x[SEAL]
            + p.friction_presliding_damping * elastic * velocity)

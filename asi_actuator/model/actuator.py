@@ -30,7 +30,7 @@ from asi_actuator.model.force_sensor import (
 from asi_actuator.model.friction import SEALS_SHAPE, friction
 from asi_actuator.model.hydraulic_damping import hydraulic_damping
 from asi_actuator.model.linear_lag import FirstOrder
-from asi_actuator.model.load import PRESCRIBED, felt_force, load, prescribed_velocity
+from asi_actuator.model.load import PRESCRIBED, felt_force, is_linear, load, prescribed_velocity
 from asi_actuator.model.valve_characteristic import (
     sagged,
     supplied,
@@ -129,6 +129,7 @@ class Steady(NamedTuple):
     h: float
     leaks: bool
     apart: bool
+    linear: bool
     half_magnet: MagnetStep
     command: CommandDelay
     supply_keep: float
@@ -146,7 +147,7 @@ def prepare(p, period):
     """
     count = max(1, math.ceil(period / p.maximum_substep * (1.0 - 1e-12)))
     h = period / count
-    return Steady(count, h, leaks(p), two_masses(p), magnet_step(p, 0.5 * h),
+    return Steady(count, h, leaks(p), two_masses(p), is_linear(p), magnet_step(p, 0.5 * h),
                   command_delay(p.command_path_delay, period, h),
                   math.exp(-h / p.valve_characteristic_supply_time), flexure_step(p, h),
                   fluid_dynamics(p, h), sensor_step(p, h))

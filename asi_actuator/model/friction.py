@@ -122,36 +122,36 @@ def softened(forward, velocity, left, p):
 
 
 @jit
-def sliding_share(deflection, velocity, limit):
-    """Return how much of the motion slides, 0 to 1, at a deflection (m) of at most `limit` (m)."""
-    if deflection * velocity <= 0.0:
+def sliding_share(along):
+    """
+    Return how much of the motion slides, 0 to 1, by the elasto-plastic law.
+
+    along: deflection along the motion, as a share of that at which all of the motion slides.
+    """
+    if along <= ELASTIC_SHARE:
         return 0.0
-    elastic = ELASTIC_SHARE * limit
-    size = abs(deflection)
-    if size <= elastic:
-        return 0.0
-    if size >= limit:
+    if along >= 1.0:
         return 1.0
-    middle = 0.5 * (limit + elastic)
-    return 0.5 + 0.5 * math.sin(math.pi * (size - middle) / (limit - elastic))
+    middle = 0.5 * (1.0 + ELASTIC_SHARE)
+    return 0.5 + 0.5 * math.sin(math.pi / (1.0 - ELASTIC_SHARE) * (along - middle))
 
 
 @jit
-def sliding(deflection, velocity, limit, p):
+def sliding(along, p):
     """
-    Return how much of the motion slides, times limit / deflection.
+    Return how much of the motion slides, divided by `along`, which `sliding_share` explains.
 
     From elasto-plastic, with 0 to 1, to Dahl's law, with 1 for an exponent of 1.
     """
     share = p.friction_presliding_slip
     if share != 1.0:
-        elastoplastic = sliding_share(deflection, velocity, limit)
+        elastoplastic = sliding_share(along)
         share = elastoplastic + share * (1.0 - elastoplastic)
     exponent = p.friction_presliding_exponent
     if exponent == 1.0:
         return share
     # The limit of the other direction, from which the deflection comes, may be far larger.
-    slides = max(share * math.copysign(1.0, velocity) * deflection / limit, -1.0)
+    slides = max(share * along, -1.0)
     if abs(slides) < NEAR:
         return exponent * share
     if slides >= 1.0:
@@ -171,20 +171,20 @@ def deflect(before, velocity, limit, p, h):
     """
     if limit < LEAST_LIMIT:
         return 0.0, 0.0
-    speed = abs(velocity)
+    speed, forward = abs(velocity), math.copysign(1.0, velocity)
+    inverse = 1.0 / limit   # a division takes as long as the rest of a line
     # What slides, with the deflection of the middle of the sub-step.
-    loss = sliding(before, velocity, limit, p) / limit
+    loss = sliding(forward * before * inverse, p) * inverse
     middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed)
-    loss = sliding(middle, velocity, limit, p) / limit
+    loss = sliding(forward * middle * inverse, p) * inverse
     # d(deflection)/dt = velocity - loss * speed * deflection, with 1 + x + x * x / 2 for exp(x).
     x = h * loss * speed
-    fall = 1.0 + x + 0.5 * x * x
-    after = (before + h * velocity * (1.0 + 0.5 * x)) / fall
+    whole = 1.0 / (1.0 + x + 0.5 * x * x)
+    after = (before + h * velocity * (1.0 + 0.5 * x)) * whole
     bound = max(limit, abs(before))
     if abs(after) > bound:
         return math.copysign(bound, after), 0.0
-    along = math.copysign(1.0, velocity) * after
-    return after, h * (1.0 + x) / fall * max(0.0, 1.0 - loss * along)
+    return after, h * (1.0 + x) * whole * max(0.0, 1.0 - loss * forward * after)
 
 
 @jit
@@ -230,15 +230,16 @@ def friction(seals, mean_velocity, velocity, p, h):
         deflects *= 0.5  # the velocity at the end counts half in the mean
         seals[AFTER, i], seals[SLOPE, i] = after, deflects
         share, share_slope = ahead if after >= 0.0 else back
-        stiffness = p.friction_presliding_stiffness / (count * reach)
+        part = 1.0 / (count * reach)
+        stiffness = p.friction_presliding_stiffness * part
         force += share * stiffness * after
         slope += stiffness * (share * deflects + share_slope * after)
         if damped:
             # Only motion that deforms the seals is damped, never their relaxation when friction
             # falls from stiction to Coulomb: else it would drive the piston.
-            along = max(direction * after / (reach * limit), -1.0)
-            elastic = max(0.0, 1.0 - sliding(after, velocity, reach * limit, p) * along)
-            damping = p.friction_presliding_damping * elastic / (count * reach)
+            along = direction * after / (reach * limit)
+            elastic = max(0.0, 1.0 - sliding(along, p) * max(along, -1.0))
+            damping = p.friction_presliding_damping * part * elastic
             force += damping * velocity
             slope += damping
         reach *= p.friction_element_ratio

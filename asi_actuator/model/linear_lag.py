@@ -30,9 +30,9 @@ class SecondOrder(NamedTuple):
 def first_order(frequency_hz, h):
     """Return the lag of a corner frequency, exact for an input that is linear in a sub-step."""
     x = 2.0 * math.pi * frequency_hz * h
-    keep = math.exp(-x)
-    mean = -math.expm1(-x) / x
-    return FirstOrder(keep, mean - keep, 1.0 - mean)
+    lost = -math.expm1(-x)
+    mean = lost / x
+    return FirstOrder(1.0 - lost, mean - (1.0 - lost), 1.0 - mean)
 
 
 @jit

@@ -12,7 +12,7 @@ from asi_actuator.model.backlash import contact, contact_force, spring_and_dampe
 from asi_actuator.model.fluid_dynamics import leaking
 from asi_actuator.model.friction import BEHIND_SENSOR, friction, settle
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
-from asi_common.jit import inlined, jit
+from asi_common.jit import FULL, inlined, jit
 
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
@@ -78,6 +78,13 @@ def felt_force(state, apart, p):
         inertia = (net + external_force(state.time, p) - stiffness * (state.position - origin)
                    - damper * state.velocity)
     return transmitted - p.force_sensor_mass_share * inertia
+
+
+@jit
+def is_linear(p):
+    """Return whether all forces are linear in the velocity: then one Newton step is exact."""
+    return (p.friction_model != FULL and p.hydraulic_damping_model != FULL
+            and p.hydraulic_damping_quadratic == 0.0)
 
 
 @inlined
@@ -148,7 +155,7 @@ def load(state, static_before, opening, steady, p):
         # Friction that falls with the velocity may make it negative.
         steepness = max(steepness, LEAST_STEEPNESS * mass / h)
         change = -residual / steepness
-        if abs(change) <= LINEAR_STEP:
+        if steady.linear or abs(change) <= LINEAR_STEP:
             break
         change, low, high = bracketed(velocity, change, residual, low, high)
     velocity += change

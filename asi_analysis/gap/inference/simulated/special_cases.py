@@ -92,4 +92,4 @@ def never_slides(found: Found) -> bool:
     moved = found.problem.group.scale['position']
     held = max(held_friction(forward, p) for forward in (True, False))
     limit = reach * held / p['friction_presliding_stiffness']
-    return bool(moved < limit and sliding(moved, 1.0, limit, p) * moved / limit < LITTLE)
+    return bool(moved < limit and sliding(moved / limit, p) * moved / limit < LITTLE)
