@@ -48,6 +48,7 @@ DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
 # recordings is fitted first: with a small weight of the data, then HEAVIER times more, so many
 # Jacobians each; at the end until a round gains less than a share of the cost.
 FAR, PART, HEAVIER, LIGHT_ROUNDS, ROUGHLY = 10.0, 0.125, 100.0, 3, 0.03
+REST = 0.8   # of the noise of the other parts, at least, is left by any fit
 RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
 MOST_STEPS = 2   # for each parameter, with Broyden's updates of one Jacobian
 LEAST_COST = 1e-300
@@ -104,6 +105,15 @@ class Posterior(Problem):
         """Return the posterior under the first share of each recording alone."""
         return replace(self, group=replace(self.group, recordings=[
             first_of_recording(each, share) for each in self.group.recordings]))
+
+    def goal_of_first_part(self, goal: float) -> float:
+        """
+        Return the cost of the first part with which the whole may still reach a goal.
+
+        The rest leaves noise, too: what the goal allows or, if that is more, noise explains.
+        """
+        left = max(min(goal - len(self.free), self.noise_cost), 0.0)
+        return goal - REST * (1.0 - PART) * left
 
     def lighter(self, share: float) -> 'Posterior':
         """Return the posterior with this share of the weight of its data."""
@@ -219,11 +229,12 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     """
     point = _Point.of(problem, start)
     if rounds >= ROUNDS and problem.is_far(point.cost):
-        found = of_first_part(problem, start, goal)
+        most = problem.goal_of_first_part(goal)
+        found = of_first_part(problem, start, most)
         there = _Point.of(problem, found.theta)
         if there.cost < point.cost:
             point, known, near = there, NONE, None
-        if found.cost > goal:
+        if found.cost > most:
             return Best(point.theta, point.cost, point.residual)
     return _maximised(problem, point.theta, rounds, known, goal, converged, near, without,
                       beside)
@@ -236,8 +247,7 @@ def of_first_part(problem: Posterior, start: Array, goal: float = math.inf) -> B
     By continuation (Allgower and Georg, Introduction to Numerical Continuation Methods, 2003): the
     data have little weight at first, so that nominal parameters stay near their values until an
     effect explains what is large; else they imitate it, and the fit ends in a local minimum.
-    goal: as in `most_probable`, of all recordings; far above it even with a small weight, a fit is
-    given up.
+    goal: of the first part; far above it even with a small weight, a fit is given up.
     """
     part, theta = problem.first_part(PART), start
     cost = part.cost(start)
