@@ -96,11 +96,17 @@ class Screened(NamedTuple):
     slopes: dict[str, Array]
 
     def best(self, count: int) -> list[Start]:
-        """Return the best start of each form of the best `count` effects."""
-        chosen: dict[str, dict[Variant, Start]] = {}
+        """
+        Return the best start of each form of the best `count` effects.
+
+        Of forms with other bounds of the same parameters (an asymmetry of either sign), one.
+        """
+        chosen: dict[str, dict[object, Start]] = {}
         for start in self.ranked:
             if start.name in chosen or len(chosen) < count:
-                chosen.setdefault(start.name, {}).setdefault(start.variant, start)
+                form = (*((free.field, free.scale) for free in start.variant.free),
+                        start.variant.fixed)
+                chosen.setdefault(start.name, {}).setdefault(form, start)
         return [start for forms in chosen.values() for start in forms.values()]
 
 
