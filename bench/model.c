@@ -321,6 +321,15 @@ static inline double softened(int forward, double velocity, double left,
     return slides / whole;
 }
 
+static inline double quarter_wave(double x)
+{
+    double t = x * x, t2 = t * t;
+    return x * ((1.5707963267948966 - 0.6459640975062232 * t)
+                + t2 * (0.07969262624568336 - 0.004681754131447063 * t)
+                + t2 * t2 * ((1.604411695631026e-4 - 3.5988107063136795e-6 * t)
+                             + t2 * (5.688318064017795e-8 - 6.449471237809134e-10 * t)));
+}
+
 static inline double sliding(double along, const struct parameters *p)
 {
     double slip = p->friction_presliding_slip, exponent = p->friction_presliding_exponent;
@@ -329,8 +338,8 @@ static inline double sliding(double along, const struct parameters *p)
         if (along <= ELASTIC_SHARE)
             share = 0.0;
         else if (along < 1.0)
-            share = 0.5 + 0.5 * sin(M_PI / (1.0 - ELASTIC_SHARE)
-                                    * (along - 0.5 * (1.0 + ELASTIC_SHARE)));
+            share = 0.5 + 0.5 * quarter_wave((along - 0.5 * (1.0 + ELASTIC_SHARE))
+                                             * (2.0 / (1.0 - ELASTIC_SHARE)));
         share += slip * (1.0 - share);
     }
     if (exponent == 1.0)

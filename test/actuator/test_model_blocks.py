@@ -20,8 +20,10 @@ from asi_actuator.model.friction import (
     Friction,
     deflected_seals,
     friction,
+    quarter_wave,
     settle,
     sliding_friction,
+    sliding_share,
 )
 from asi_actuator.model.hydraulic_damping import (
     damping_curve,
@@ -340,6 +342,16 @@ def test_slow_pull_and_push_break_away_at_the_published_forces() -> None:
     fast = np.linspace(0, 0.1, 2000)  # 50 mm/s, ten Stribeck velocities
     assert seal_force(fast, 1e-3)[-1] == pytest.approx(7.0, rel=1e-3)
     assert seal_force(-fast, 1e-3)[-1] == pytest.approx(-7.0, rel=1e-3)
+
+
+def test_elastoplastic_law_is_that_of_dupont() -> None:
+    angles = np.linspace(-1.0, 1.0, 20001)
+    np.testing.assert_allclose([quarter_wave(x) for x in angles], np.sin(0.5 * np.pi * angles),
+                               rtol=0.0, atol=1e-15)
+    shares = [sliding_share(along) for along in (-1.0, 0.0, 0.7, 0.775, 0.85, 1.0, 3.0)]
+    np.testing.assert_allclose(shares, [0.0, 0.0, 0.0, 0.5 - math.sqrt(0.125), 0.5, 1.0, 1.0],
+                               rtol=0.0, atol=1e-15)
+    assert shares[2] == 0.0 and shares[5] == 1.0   # a held piston neither creeps nor slides late
 
 
 @pytest.mark.parametrize('changed', [{'friction.softening': 1.0}, {'friction.element_ratio': 2.0},
