@@ -52,7 +52,8 @@ def measure(count: int) -> Table:
         answer = diagnose([run], NOMINAL)
         walls.append(time.perf_counter() - wall)
         table.add_row(name, '+'.join(answer.verdict) or 'no_gap',
-                      f'{answer.joined[answer.verdict]:.2f}', f'{walls[-1]:.1f}', f'{time.process_time() - used:.1f}')
+                      f'{answer.joined[answer.verdict]:.2f}', f'{walls[-1]:.1f}',
+                      f'{time.process_time() - used:.1f}')
         print(f'{len(walls)} of {len(machines)}: {name}, {walls[-1]:.1f} s', file=sys.stderr)
     table.caption = (f'wall time: median {np.median(walls):.1f} s (5 asked), worst '
                      f'{max(walls):.1f} s (20 asked)')
