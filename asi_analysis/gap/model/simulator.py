@@ -31,6 +31,7 @@ from asi_analysis.gap.model.start import (
     SPREAD,
     actuator_of,
     before_valve,
+    flux_key,
     state_at_start,
     state_key,
 )
@@ -52,7 +53,11 @@ VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startsw
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (
         'valve_characteristic_gain', 'valve_characteristic_maximum_force',
         'valve_characteristic_full_opening', 'maximum_substep')
-VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS)
+GAIN_FIELDS = tuple(f'valve_characteristic_{name}' for name in (
+    'gain', 'maximum_force', 'full_opening'))
+# Where those fields are in a record on which the deflection of the valve, in N, depends.
+VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS
+                    if name not in (*GAIN_FIELDS, 'valve_flexure_travel_limit'))
 # The most predictions that are cached, of each kind (at least one for each thread), and bytes.
 CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 # Fields of the delays of the command.
@@ -147,22 +152,23 @@ def _deflection(recording: Recording, p: np.void) -> Array:
     Rows: the period before the recording and its n periods; columns: after the command's jump and
     after each sub-step. It does not depend on the gain of the valve, and is cached.
     """
-    q, command = actuator_of(p), recording.command
-    q['valve_flexure_travel_limit'] /= metres_per_newton(p)
-    for name in ('gain', 'maximum_force', 'full_opening'):
-        q[f'valve_characteristic_{name}'] = 1.0
-    if command is None:
-        command = np.zeros(recording.fit.size)
-    state, before = before_valve(recording, p, command)
+    travel_limit = p['valve_flexure_travel_limit'] / metres_per_newton(p)
 
     def run() -> Array:
+        q, command = actuator_of(p), recording.command
+        q['valve_flexure_travel_limit'] = travel_limit
+        for name in GAIN_FIELDS:
+            q[name] = 1.0
+        if command is None:
+            command = np.zeros(recording.fit.size)
+        state, before = before_valve(recording, p, command)
         found = _valve(state, np.concatenate([before, command]), q, recording.period_s)
         first = found[before.size - 1] if before.size else np.zeros(found.shape[1])
         return np.concatenate([first[None], found[before.size:]])
 
-    whole = q.tobytes()
-    key = b''.join(whole[k:k + 8] for k in VALVE_BYTES) + state['flux'].tobytes()
-    return _cached(recording, 'valve', key, run)
+    whole = p.tobytes()
+    key = b''.join(whole[k:k + 8] for k in VALVE_BYTES)
+    return _cached(recording, 'valve', key + travel_limit.tobytes() + flux_key(recording, p), run)
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:

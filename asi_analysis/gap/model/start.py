@@ -78,6 +78,11 @@ def state_key(p: np.void) -> bytes:
                     if name in (p.dtype.names or ()) and (sags or name != SUPPLY))
 
 
+def flux_key(recording: Recording, p: np.void) -> bytes:
+    """Return the flux at the start as bytes, as a share of the hysteresis's half width."""
+    return np.float64(_fitted(recording, p, FLUX)).tobytes()
+
+
 def before_valve(recording: Recording, p: np.void, command: Array) -> tuple[np.void, Array]:
     """
     Return the valve's state some time before a recording, and the commands (N) since then.
@@ -117,9 +122,10 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
         return state
     actuator = actuator_of(p)
     state['valve_position'] = valve[0]
-    opening = np.abs(valve) / p['valve_characteristic_full_opening']
-    state['supply_load'] = min(max(np.minimum(opening, 1.0).mean()
-                                   + _fitted(recording, p, SUPPLY), 0.0), 1.0)
+    if p['valve_characteristic_supply_sag'] > 0.0:
+        opening = np.abs(valve) / p['valve_characteristic_full_opening']
+        state['supply_load'] = min(max(np.minimum(opening, 1.0).mean()
+                                       + _fitted(recording, p, SUPPLY), 0.0), 1.0)
     motion = recording.motion
     if motion is not None:
         position, velocity = recording.once('first', lambda: [
