@@ -4,7 +4,7 @@ How long `asi gap` takes: the full model, 10 s at 1 kHz, with each effect of the
 A machine is the simulator itself on a spring, with one effect at its example, recorded in the loop
 of the two nodes with noise on every signal. Wall time of the diagnosis, compiled code loaded.
 
-    python -m bench.gap_speed
+    python -m bench.gap_speed [--quick]      # --quick: the unchanged machine and one effect
 """
 
 import sys

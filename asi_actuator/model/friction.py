@@ -183,7 +183,7 @@ def deflect(before, velocity, limit, p, h):
     if limit < LEAST_LIMIT:
         return 0.0, 0.0
     speed, forward = abs(velocity), math.copysign(1.0, velocity)
-    inverse = 1.0 / limit   # a division takes as long as the rest of a line
+    inverse = 1.0 / limit   # one division, not three: each takes as long as four products
     # What slides, with the deflection of the middle of the sub-step.
     loss = sliding(forward * before * inverse, p) * inverse
     middle = (before + 0.5 * h * velocity) / (1.0 + 0.5 * h * loss * speed)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from study import STUDY
 
-from asi_actuator.model.actuator import rest, simulate
+from asi_actuator.model.actuator import advance, prepare, rest, simulate
 from asi_actuator.model.hydraulic_damping import damping_curve, damping_force
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.parameters import as_record as record_of
@@ -55,6 +55,33 @@ def test_smooth_model_converges_with_the_second_order(values: dict[str, Value]) 
     errors = [np.abs(a - b).max() for a, b in zip(runs, runs[1:], strict=False)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     np.testing.assert_allclose(orders, 2.0, atol=0.15)
+
+
+LINEAR: dict[str, Value] = {'maximum_substep': 5e-4, 'friction.model': 'linear',
+                            'friction.linear_gain': 300.0, 'load.type': 'spring',
+                            'hydraulic_damping.model': 'linear'}
+
+
+@pytest.mark.parametrize(('values', 'linear'), [
+    (LINEAR, True), (LINEAR | {'hydraulic_damping.opening_viscous': 900.0}, True),
+    (LINEAR | {'fluid_dynamics.leakage_growth': 1e-3, 'fluid_dynamics.air_time': 1e-3}, True),
+    (LINEAR | {'coupling.stiffness': 1e5}, True),
+    (LINEAR | {'backlash.gap': 1e-4, 'backlash.location': 'mass'}, True),
+    (LINEAR | {'hydraulic_damping.quadratic': 1e4}, False),
+    (LINEAR | {'hydraulic_damping.model': 'full'}, False),
+    (LINEAR | {'friction.model': 'full'}, False)], ids=str)
+def test_one_newton_step_suffices_where_all_forces_are_linear_in_the_velocity(
+        values: dict[str, Value], linear: bool) -> None:
+    p = as_record(values)
+    steady = prepare(p, PERIOD)
+    assert steady.linear == linear
+    forces = []
+    for each in (True, False):
+        state = rest()
+        for command in SINE:
+            advance(state, command, p, steady._replace(linear=each))
+        forces.append(state['hydraulic_force'])
+    assert (abs(forces[0] - forces[1]) < 1e-9) == linear
 
 
 @pytest.mark.parametrize('commands', [STEP, SINE], ids=['step', 'sine'])

@@ -92,7 +92,7 @@ def settings(experiment: Experiment, force: float) -> dict[str, Value]:
     """
     Return the controller's parameters of an experiment.
 
-    force: the largest, N; above what the controller allows, that is taken.
+    force: the largest, N; at most what the controller allows is used.
     """
     force = min(force, LARGEST_N)
     return {**experiment.controller, 'reference.amplitude': experiment.size * force,

@@ -48,7 +48,7 @@ DAMPING, LEAST_DAMPING, CHANGE, TRIES, ENOUGH = 1e-4, 1e-7, 10.0, 8, 0.5
 # recordings is fitted first: with a small weight of the data, then HEAVIER times more, so many
 # Jacobians each; at the end until a round gains less than a share of the cost.
 FAR, PART, HEAVIER, LIGHT_ROUNDS, ROUGHLY = 10.0, 0.125, 100.0, 3, 0.03
-REST = 0.8   # of the noise of the other parts, at least, is left by any fit
+REST = 0.5   # of the noise of the rest counts as left by any fit
 RUNS = 3   # simulations of a step, where a Jacobian takes one for each parameter
 MOST_STEPS = 2   # for each parameter, with Broyden's updates of one Jacobian
 LEAST_COST = 1e-300
@@ -94,8 +94,20 @@ class Posterior(Problem):
     @property
     def noise_cost(self) -> float:
         """Return the cost of a residual that is as large as the error floor."""
-        rows = sum(int(np.count_nonzero(r.known)) for r in self.group.recordings)
-        return 0.5 * float(power(self.group).sum()) * rows
+        return 0.5 * float(power(self.group).sum()) * self._rows
+
+    @property
+    def least_cost(self) -> float:
+        """Return the cost of a residual that is noise alone, without the errors of a model."""
+        group = self.group
+        shares = [group.noise[channel] ** 2 / group.error_floor[channel]
+                  for channel in group.channels]
+        return 0.5 * float(power(group) @ shares) * self._rows
+
+    @property
+    def _rows(self) -> int:
+        """Return the number of samples of a channel that are compared."""
+        return sum(int(np.count_nonzero(r.known)) for r in self.group.recordings)
 
     def is_far(self, cost: float) -> bool:
         """Return whether a cost is far above what noise explains."""
@@ -105,15 +117,6 @@ class Posterior(Problem):
         """Return the posterior under the first share of each recording alone."""
         return replace(self, group=replace(self.group, recordings=[
             first_of_recording(each, share) for each in self.group.recordings]))
-
-    def goal_of_first_part(self, goal: float) -> float:
-        """
-        Return the cost of the first part with which the whole may still reach a goal.
-
-        The rest leaves noise, too: what the goal allows or, if that is more, noise explains.
-        """
-        left = max(min(goal - len(self.free), self.noise_cost), 0.0)
-        return goal - REST * (1.0 - PART) * left
 
     def lighter(self, share: float) -> 'Posterior':
         """Return the posterior with this share of the weight of its data."""
@@ -225,16 +228,15 @@ def most_probable(problem: Posterior, start: Array, rounds: int = ROUNDS,
     Return the most probable parameters, from a start, as `_maximised` does.
 
     A fit of more than a few rounds that begins far from explaining the recordings is made on
-    their first part before. What cannot explain that part is given up: it cannot explain all.
+    their first part before. What leaves more of that part than the goal allows is given up.
     """
     point = _Point.of(problem, start)
     if rounds >= ROUNDS and problem.is_far(point.cost):
-        most = problem.goal_of_first_part(goal)
-        found = of_first_part(problem, start, most)
+        found = of_first_part(problem, start, goal)
         there = _Point.of(problem, found.theta)
         if there.cost < point.cost:
             point, known, near = there, NONE, None
-        if found.cost > most:
+        if found.cost > goal:
             return Best(point.theta, point.cost, point.residual)
     return _maximised(problem, point.theta, rounds, known, goal, converged, near, without,
                       beside)
@@ -247,10 +249,18 @@ def of_first_part(problem: Posterior, start: Array, goal: float = math.inf) -> B
     By continuation (Allgower and Georg, Introduction to Numerical Continuation Methods, 2003): the
     data have little weight at first, so that nominal parameters stay near their values until an
     effect explains what is large; else they imitate it, and the fit ends in a local minimum.
-    goal: of the first part; far above it even with a small weight, a fit is given up.
+    Its cost is the least that the whole may have: noise is left of the rest, too. goal: as in
+    `most_probable`, of the whole; far above it even with a small weight, a fit is given up.
     """
     part, theta = problem.first_part(PART), start
-    cost = part.cost(start)
+    rest = REST * min(goal, problem.least_cost - part.least_cost)
+    found = _of_part(part, theta, goal - rest)
+    return found._replace(cost=found.cost + rest)
+
+
+def _of_part(part: Posterior, theta: Array, goal: float) -> Best:
+    """Return the most probable parameters of a first part, as `of_first_part` finds them."""
+    cost = part.cost(theta)
     share = theta.size / cost if math.isfinite(cost) else 1.0
     while share < 1.0:
         light = _maximised(part.lighter(share), theta, LIGHT_ROUNDS)

@@ -28,12 +28,14 @@ from asi_analysis.gap.formulation import with_formulation, with_lower_floor
 from asi_analysis.gap.inference.beyond_tolerance import form_of
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
+    PART,
     STEP,
     Best,
     Posterior,
     fitted,
     mean_squares,
     most_probable,
+    of_first_part,
 )
 from asi_analysis.gap.inference.simulated import fits, formulation, search
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
@@ -593,6 +595,36 @@ def test_a_rival_begins_at_the_size_that_the_screen_expects():
     assert start.problem.cost(start.nearest) < start.problem.cost(start.theta)
     # A guess that costs less than its multiple is kept.
     assert (start._replace(amount=1e3).nearest == start.theta).all()
+
+
+@pytest.mark.parametrize('asymmetry', [-0.6, 0.6])
+def test_of_an_asymmetric_friction_the_right_sign_is_fitted(asymmetry):
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'friction.coulomb': 30.0,
+                    'friction.coulomb_asymmetry': asymmetry}, duration_s=1.5)
+    null = null_behind_valve(run, nominal).at_nominal
+    forms = [start.variant for start in screen(null, False, lambda: None).best(30)
+             if start.name == 'friction_asymmetry']
+    ranges = [(free.low, free.high) for form in forms for free in form.free
+              if free.field == 'friction_coulomb_asymmetry']
+    one_way = [low + high for low, high in ranges if low * high > 0.0]
+    assert len(one_way) == 2 and all(middle * asymmetry > 0.0 for middle in one_way)
+
+
+@pytest.mark.parametrize('duration_s', [1.2, 2.0, 5.0])
+def test_what_can_reach_a_goal_is_not_given_up_on_the_first_part(duration_s):
+    """Of a short recording the first part, at least 1 s, is nearly all."""
+    nominal = {'load.type': 'spring'}
+    null = null_behind_valve(recorded(nominal, duration_s=duration_s), nominal)
+    problem, goal = null.problem, null.best.cost + 50.0
+    far = problem.nominal.copy()
+    far[[free.field for free in problem.free].index('load_mass')] = 0.9
+    part = of_first_part(problem, far, goal)
+    assert part.cost < goal
+    # All of the first part's cost counts, and some of the rest.
+    alone = problem.first_part(PART).cost(part.theta)
+    assert alone < part.cost < alone + 0.5 * goal + 1e-9
+    assert most_probable(problem, far, goal=goal).cost < null.best.cost + 1.0
 
 
 @pytest.mark.parametrize('share', [1.2, 2.0])

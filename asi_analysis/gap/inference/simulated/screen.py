@@ -99,14 +99,14 @@ class Screened(NamedTuple):
         """
         Return the best start of each form of the best `count` effects.
 
-        Of forms with other bounds of the same parameters (an asymmetry of either sign), one.
+        Of forms that differ in bounds alone (an asymmetry of either sign) only the best one.
         """
-        chosen: dict[str, dict[object, Start]] = {}
+        chosen: dict[str, dict[Variant, Start]] = {}
         for start in self.ranked:
             if start.name in chosen or len(chosen) < count:
-                form = (*((free.field, free.scale) for free in start.variant.free),
-                        start.variant.fixed)
-                chosen.setdefault(start.name, {}).setdefault(form, start)
+                unbounded = start.variant._replace(free=tuple(
+                    free._replace(low=0.0, high=0.0, starts=()) for free in start.variant.free))
+                chosen.setdefault(start.name, {}).setdefault(unbounded, start)
         return [start for forms in chosen.values() for start in forms.values()]
 
 

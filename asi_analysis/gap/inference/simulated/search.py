@@ -380,6 +380,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
     # computing the whole Jacobian again.
     at_leader: Mapping[str, Array] = columns_of(leader.problem, leader.slopes)
     most, beside = goal(leader, null), leader.best.cost + COST_RANGE
+    reached: dict[Names, float] = {}   # by a form of each effect
 
     def converged_fit(form: Found) -> Found:
         # The integration error is corrected as for the leader. A thread of the pool must not
@@ -397,15 +398,17 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
         if null.may_lack_an_effect and form.best is best_forms.get(form.names):
             starts.append((form.best.theta, at_base))
         best = form.best._replace(cost=math.inf)
+        # A further form only counts if it is better than the others of its effect.
+        limit = min(most, reached.get(form.names, math.inf) + COST_RANGE)
         for start, near in starts:
             known = {field: column for field, column in near.items() if field not in of_effect}
-            again = most_probable(form.problem, start, goal=min(most, best.cost), known=known,
+            again = most_probable(form.problem, start, goal=min(limit, best.cost), known=known,
                                   without=null.best.cost, beside=beside)
             best = min(best, again, key=lambda best: best.cost)
         found = form._replace(best=best)
         # With a sub-step of its own, the cost of a fit is not yet known.
         own_substep = any(name == 'maximum_substep' for name, _ in form.problem.fixed)
-        return (converged(found, most, beside) if own_substep or _may_count(found, null)
+        return (converged(found, limit, beside) if own_substep or _may_count(found, null)
                 else found)
 
     # Of recordings far from explained, a rough fit was made to the end on a part. So it is known
@@ -441,6 +444,7 @@ def _around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[],
             if not never_slides(found):
                 done.append(found)
             tick()
+        reached = {found.names: found.best.cost for found in done}
         best = min(done, key=cost_of)
         most, beside = min(most, goal(best, null)), best.best.cost + COST_RANGE
     best = min(fits.values(), key=cost_of)
