@@ -44,6 +44,7 @@ from asi_analysis.reporting import figures
 from asi_analysis.reporting.result import Result, Table, table_of
 from asi_analysis.terminal import Progress
 from asi_common.files import read_bytes, read_text, write_text
+from asi_common.parameter import ParameterError
 
 # Largest list of cases, and largest answers, bytes.
 MOST_CASES: Final = 2**24
@@ -70,7 +71,11 @@ def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
 
 
 def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
-    """Return the diagnosis of one case, without its answer; `warnings`: what it warned of."""
+    """
+    Return the diagnosis of one case, without its answer; `warnings`: what it warned of.
+
+    A ParameterError of the diagnosis names the case.
+    """
     started = time.process_time()
     with warnings.catch_warnings(record=True) as found:   # of this case, not of the check
         warnings.simplefilter('always', InputWarning)
@@ -79,6 +84,8 @@ def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
         except InputError as error:
             row = {'verdict': 'refused', 'probability': 0.0, 'where': [], 'which': [],
                    'ambiguity_set': [], 'gap': None, 'why': str(error)}
+        except ParameterError as error:
+            raise ParameterError(f'{folder / entry["bag"]}: {error}') from error
     return {'bag': entry['bag'], **row, 'warnings': [str(each.message) for each in found],
             'seconds': row.get('seconds', time.process_time() - started)}
 

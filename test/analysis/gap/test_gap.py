@@ -42,7 +42,7 @@ from asi_analysis.gap.inference.uncertainty import Likelihood, end
 from asi_analysis.gap.model.effects import BY_NAME
 from asi_analysis.gap.model.predict import plant_record, predict, propagated_noise
 from asi_analysis.gap.prepare import prepare
-from asi_common.parameter import completed
+from asi_common.parameter import ParameterError, completed
 from asi_examiner import bags
 from asi_examiner.cases import draw
 
@@ -621,6 +621,15 @@ def test_what_a_case_warns_of_is_in_its_row(tmp_path, monkeypatch, refused):
         row = check.examine(tmp_path, {'bag': 'a'})
     assert (row['bag'], row['verdict']) == ('a', 'refused' if refused else 'no_gap')
     assert row['warnings'] == ['the clock jumps']
+
+
+def test_a_value_that_is_not_allowed_is_told_with_its_case(tmp_path, monkeypatch):
+    def diagnosed(folder, entry):
+        raise ParameterError('load.mass = -1 is not allowed')
+
+    monkeypatch.setattr(check, '_diagnosed', diagnosed)
+    with pytest.raises(ParameterError, match='case_0024: load.mass = -1 is not allowed'):
+        check.examine(tmp_path, {'bag': 'case_0024'})
 
 
 def test_interrupted_writing_of_cases_continues(tmp_path, monkeypatch):
