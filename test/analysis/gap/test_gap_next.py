@@ -62,7 +62,7 @@ def test_line_is_the_experiment_that_was_imagined(experiment: Experiment) -> Non
 @pytest.mark.parametrize('experiment', CATALOGUE, ids=lambda experiment: experiment.name)
 def test_experiment_for_a_large_machine_is_one_that_the_controller_allows(
         experiment: Experiment) -> None:
-    """A press had 13 kN, and the diagnosis ended with "reference.amplitude is not allowed"."""
+    """A recording of 13 kN ended the diagnosis: "reference.amplitude is not allowed"."""
     values = completed(settings(experiment, 13250.0), CONTROLLER_PARAMETERS)
     assert 0.0 < values['reference.amplitude'] <= 1e4
 
