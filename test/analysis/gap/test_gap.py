@@ -483,7 +483,7 @@ def test_inertia_of_a_joint_may_be_small(tmp_path):
 
 
 def test_velocity_with_the_wrong_sign_is_a_warning():
-    run = recorded()
+    run = recorded()[:1000]
     with pytest.warns(UserWarning, match='velocity is not the derivative of position'):
         diagnosis = diagnose([dataclasses.replace(run, velocity_m_s=-run.velocity_m_s)], TEXTBOOK)
     assert any('velocity' in note for note in diagnosis.notes)

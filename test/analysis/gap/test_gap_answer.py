@@ -194,7 +194,7 @@ def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, 
 
 def test_model_is_what_the_bag_tells_unless_another_is_given():
     recorded_values = {**TEXTBOOK, 'load.stiffness': 2.2e5}
-    run = dataclasses.replace(recorded()[:1500], information={'actuator': recorded_values})
+    run = dataclasses.replace(recorded()[:1000], information={'actuator': recorded_values})
     assert recorded_model([run]) == recorded_values
     told = 'recorded with the load spring, .* has the load locked'
     with pytest.warns(InputWarning, match=told):

@@ -202,12 +202,12 @@ def test_a_longer_sub_step_is_corrected():
         assert np.std(error) < 0.05 * np.sqrt(group.error_floor[channel])
 
 
-def test_the_unchanged_simulator_has_no_gap():
-    for noise in (1.0, 0.0):
-        run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.2)
-        answer = document(diagnose([run], {'load.type': 'spring'}))
-        assert answer['verdict'] == 'no_gap'
-        assert answer['unknown_probability'] < 0.2
+@pytest.mark.parametrize('noise', [1.0, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_the_unchanged_simulator_has_no_gap(noise):
+    run = recorded({'load.type': 'spring'}, noise=noise, duration_s=1.2)
+    answer = document(diagnose([run], {'load.type': 'spring'}))
+    assert answer['verdict'] == 'no_gap'
+    assert answer['unknown_probability'] < 0.2
 
 
 def is_within_interval(answer, field, value):

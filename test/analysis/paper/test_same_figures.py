@@ -30,7 +30,8 @@ def facts():
     return onset_gains(setup, CONDITIONS.onset_steps_n) | onset_frequencies(setup)
 
 
-@pytest.mark.parametrize('step_n', [pytest.param(300.0, marks=pytest.mark.slow), 600.0])
+@pytest.mark.slow
+@pytest.mark.parametrize('step_n', [300.0, 600.0])
 def test_predict_says_what_the_facts_say(facts, step_n):
     controller = {'gain': 3.0, 'feedforward': CONDITIONS.feedforward}
     row, = onset_by_step({**LOCKED}, controller, RATE_HZ, 5.0, [step_n])

@@ -21,6 +21,7 @@ from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
+from asi_analysis.gap.inference.simulated.fits import needs_other_shapes
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
@@ -32,8 +33,9 @@ from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
 from asi_common.record import field_name
 
-# Log odds below the best at which the posterior volume is not computed: it can make up for less.
-NEGLIGIBLE = 40.0
+# Log odds below the best at which a hypothesis does not count; and the largest difference between
+# the logs of posterior volumes, which are not known before.
+NEGLIGIBLE, VOLUMES = 12.0, 28.0
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
 STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 0.006)
@@ -81,7 +83,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
     equal = equal_below(least) if group.other_formulation or coloured(group) else exact
-    simplest = _simplest_explained(found) if group.may_differ else None
+    simplest = _simplest_explained(found, least) if group.may_differ else None
 
     def left(each: Found) -> Array:
         """Return the mean square residual; one below that of `simplest` is no evidence."""
@@ -95,22 +97,22 @@ def weigh(group: Group, found: Mapping[Names, Found]
         return _log_posterior(each, noise, left(each))
 
     highest = max(map(value, found.values()))
-    near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE]
+    near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE - VOLUMES]
     if equal is not exact:   # then more parameters, which cost a form probability, may gain none
         near += [nearest_to_nominal(simpler, equal) if group.other_formulation else simpler
                  for each in near for simpler in simpler_forms(each, least.best.cost + COST_RANGE)]
     near = [max(each, _with_model_error(each, noise), key=value) for each in near]
     near += [more for each in near for more in with_improbable_named(each)]
-    highest = max(map(value, near))
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
-    for each in near:
-        weight = value(each)
-        if weight > highest - NEGLIGIBLE:
-            weight += _log_volume(each, noise, left(each))
-            if weight > evidence.get(each.names, -math.inf):
-                evidence[each.names] = weight
-                fits[each.names] = each
-    highest = max(evidence.values())
+    highest, largest = -math.inf, -math.inf
+    for each in sorted(near, key=value, reverse=True):
+        if value(each) + largest < highest - NEGLIGIBLE:   # the most probable ones come first
+            continue
+        volume = _log_volume(each, noise, left(each))
+        highest, largest = max(highest, value(each) + volume), max(largest, volume)
+        if value(each) + volume > evidence.get(each.names, -math.inf):
+            evidence[each.names] = value(each) + volume
+            fits[each.names] = each
     weights = {names: math.exp(value - highest) for names, value in evidence.items()}
     chance = {names: value / sum(weights.values()) for names, value in weights.items()}
     # As long as the residual is no more than noise, there is no unknown effect.
@@ -124,9 +126,9 @@ def _to_the_end(found: Mapping[Names, Found]) -> dict[Names, Found]:
     Not if the laws are formulated in another way: then they are as near to the nominal parameters
     as the model error allows.
     """
-    least = min(each.best.cost for each in found.values())
+    most = min(each.best.cost for each in found.values()) + NEGLIGIBLE + VOLUMES
     return {names: each.refined(converged=0.0)
-            if each.best.cost < least + NEGLIGIBLE and not each.problem.group.other_formulation
+            if each.best.cost < most and not each.problem.group.other_formulation
             else each for names, each in found.items()}
 
 
@@ -164,16 +166,21 @@ def with_improbable_named(found: Found) -> Iterator[Found]:
                     problem=replace(problem, free=without_prior(problem.free, [variant])))
 
 
-def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
+def _simplest_explained(found: Mapping[Names, Found], least: Found) -> Found | None:
     """
     Return the hypothesis with the fewest effects that explains the recordings, if there is one.
 
     That is: it leaves only noise, with probable nominal parameters. A smaller residual is no
     evidence for more effects: a formulation that hardly differs from the simulator's leaves as
-    much.
+    much. But if the laws are the simulator's own, it must not need other shapes of them to leave
+    more than `least`, the hypothesis with the lowest cost.
     """
     explained = [each for each in found.values() if not each.may_lack_an_effect]
-    return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
+    for each in sorted(explained, key=lambda each: (len(each.names), each.best.cost)):
+        if (each.problem.group.other_formulation
+                or each.best.cost < least.best.cost + COST_RANGE or not needs_other_shapes(each)):
+            return each
+    return None
 
 
 def _with_steps_of(found: Found, simplest: Found) -> Names:

@@ -83,9 +83,9 @@ def _fitted_to_the_end(weighed: Weighed) -> Found:
     assert isinstance(problem, Posterior)
     found = Found(chosen.names, chosen.variants, problem, Best(
         theta, problem.cost(theta), problem.residual(theta)))
-    return found._replace(best=min(
-        (most_probable(problem, start.best.theta, converged=0.0)
-         for start in (found, found.at_nominal)), key=lambda each: each.cost))
+    best = most_probable(problem, theta, converged=0.0)
+    again = most_probable(problem, found.at_nominal.best.theta, converged=0.0, goal=best.cost)
+    return found._replace(best=min(best, again, key=lambda each: each.cost))
 
 
 def _model_share(found: Found) -> float:
