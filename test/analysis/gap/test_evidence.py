@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from asi_analysis.gap.inference.posterior import Best, Posterior
-from asi_analysis.gap.inference.simulated.evidence import _slopes_of_mass, log_volume
+from asi_analysis.gap.inference.simulated.evidence import (
+    _slopes_of_mass,
+    log_volume,
+    that_count,
+)
 
 UNIFORM = np.zeros(2)
 
@@ -126,3 +130,14 @@ def test_where_no_plant_is_possible_the_volume_is_that_of_narrow_differences(slo
     exact = problem.volume(problem.slopes)
     with np.errstate(invalid='ignore'):
         assert problem.volume(_slopes_of_mass(found, np.ones(1))) == pytest.approx(exact, abs=0.1)
+
+
+def test_a_hypothesis_with_few_parameters_counts_by_its_volume():
+    """Its volume is larger. Of what cannot reach it, none is computed."""
+    known = {'single': (0.0, -100.0, 10), 'pair': (14.0, -122.0, 15), 'none': (-30.0, -95.0, 9),
+             'worse pair': (-2.0, -123.0, 15), 'hopeless': (-20.0, -121.0, 15)}
+    found = [SimpleNamespace(name=name, best=SimpleNamespace(theta=np.zeros(size)))
+             for name, (_, _, size) in known.items()]
+    counted = {each.name: weight for each, weight in that_count(
+        found, lambda each: known[each.name][0], lambda each: known[each.name][1])}
+    assert counted == {'none': -125.0, 'pair': -108.0, 'single': -100.0, 'worse pair': -125.0}

@@ -37,7 +37,7 @@ from asi_analysis.gap.inference.posterior import (
     most_probable,
     of_first_part,
 )
-from asi_analysis.gap.inference.simulated import fits, formulation, search
+from asi_analysis.gap.inference.simulated import fits, formulation, one_more_effect, search
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
@@ -774,6 +774,7 @@ def test_an_effect_is_named_and_the_improved_model_is_the_machine():
 def test_an_effect_that_looks_like_the_best_one_is_weighed_too(monkeypatch):
     # The first screen ranks an offset of the sensor first: nominal parameters that are off hide
     # that the friction is asymmetric. Only the effect that it ranks first is fitted here.
+    monkeypatch.setattr(one_more_effect, 'ROUGH_FITS', 1)
     monkeypatch.setattr(search, 'ROUGH_FITS', 1)
     off = {'hydraulic_damping.maximum_force': 1100.0, 'valve_characteristic.maximum_force': 900.0,
            'friction.stiction_push': 24.0, 'load.stiffness': 2.2e5, 'load.mass': 0.5}

@@ -8,7 +8,7 @@ unknown size, with MODEL_SAMPLES effective samples (Kennedy and O'Hagan, J. R. S
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ from asi_analysis.gap.model.group import Group, least_error
 from asi_common.record import field_name
 
 # Log odds below the best at which a hypothesis does not count; and the largest difference between
-# the logs of posterior volumes, which are not known before.
+# the logs of posterior volumes, as long as none of them is known.
 NEGLIGIBLE, VOLUMES = 12.0, 28.0
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
@@ -104,19 +104,34 @@ def weigh(group: Group, found: Mapping[Names, Found]
     near = [max(each, _with_model_error(each, noise), key=value) for each in near]
     near += [more for each in near for more in with_improbable_named(each)]
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
-    highest, largest = -math.inf, -math.inf
-    for each in sorted(near, key=value, reverse=True):
-        if value(each) + largest < highest - NEGLIGIBLE:   # the most probable ones come first
-            continue
-        volume = _log_volume(each, noise, left(each))
-        highest, largest = max(highest, value(each) + volume), max(largest, volume)
-        if value(each) + volume > evidence.get(each.names, -math.inf):
-            evidence[each.names] = value(each) + volume
+    for each, weight in that_count(near, value, lambda each: _log_volume(each, noise, left(each))):
+        if weight > evidence.get(each.names, -math.inf):
+            evidence[each.names] = weight
             fits[each.names] = each
+    highest = max(evidence.values())
     weights = {names: math.exp(value - highest) for names, value in evidence.items()}
     chance = {names: value / sum(weights.values()) for names, value in weights.items()}
     # As long as the residual is no more than noise, there is no unknown effect.
     return {**chance, (UNKNOWN,): 0.0}, fits
+
+
+def that_count(near: Sequence[Found], value: Callable[[Found], float],
+               log_volume_of: Callable[[Found], float]) -> Iterator[tuple[Found, float]]:
+    """
+    Yield those hypotheses that may count, with their log evidence.
+
+    The one with the fewest parameters comes first, since it leaves the largest volume: with that,
+    others cannot reach the best one, and their own volume need not be computed. Then the others,
+    by their log posterior, `value`.
+    """
+    simple = min(near, key=lambda each: (each.best.theta.size, -value(each)))
+    others = sorted((each for each in near if each is not simple), key=value, reverse=True)
+    highest, largest = -math.inf, -math.inf
+    for each in (simple, *others):
+        if each is simple or value(each) + largest >= highest - NEGLIGIBLE:
+            volume = log_volume_of(each)
+            highest, largest = max(highest, value(each) + volume), max(largest, volume)
+            yield each, value(each) + volume
 
 
 def _to_the_end(found: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -172,15 +187,18 @@ def _simplest_explained(found: Mapping[Names, Found], least: Found) -> Found | N
 
     That is: it leaves only noise, with probable nominal parameters. A smaller residual is no
     evidence for more effects: a formulation that hardly differs from the simulator's leaves as
-    much. But if the laws are the simulator's own, it must not need other shapes of them to leave
-    more than `least`, the hypothesis with the lowest cost.
+    much. But one that costs COST_RANGE more than `least`, the hypothesis with the lowest cost,
+    does not count if it needs other shapes of the simulator's own laws, and `least` does not.
     """
-    explained = [each for each in found.values() if not each.may_lack_an_effect]
-    for each in sorted(explained, key=lambda each: (len(each.names), each.best.cost)):
-        if (each.problem.group.other_formulation
-                or each.best.cost < least.best.cost + COST_RANGE or not needs_other_shapes(each)):
-            return each
-    return None
+    group = least.problem.group
+    explained = sorted((each for each in found.values() if not each.may_lack_an_effect),
+                       key=lambda each: (len(each.names), each.best.cost))
+    worse = [each for each in explained if each.best.cost > least.best.cost + COST_RANGE]
+    if worse and not (group.other_formulation or group.floor_measured
+                      or needs_other_shapes(least)):
+        explained = [each for each in explained
+                     if each not in worse or not needs_other_shapes(each)]
+    return next(iter(explained), None)
 
 
 def _with_steps_of(found: Found, simplest: Found) -> Names:

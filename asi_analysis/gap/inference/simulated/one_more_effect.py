@@ -6,7 +6,7 @@ the end; then the next best, and what may take its place. What cannot reach the 
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from asi_analysis.arrays import Array
@@ -68,7 +68,7 @@ def refitted_from_larger(base: Found, more: Sequence[Found]) -> Found:
 
 
 def extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal,
-              at_null: Screened | None = None) -> dict[Names, Found]:
+             at_null: Screened | None = None) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect: the best of the linear screen.
 
@@ -92,14 +92,18 @@ def extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal,
         starts += [(start, at_null.slopes) for start in at_null.best(FULL_FITS)
                    if start.name not in names]
 
+    def hypothesis(start: Start) -> Names:
+        return tuple(sorted((*base.names, start.name)))
+
     def rough(of: tuple[Start, Mapping[str, Array]]) -> Found:
         start, slopes = of
         own = start.variant.fields
         single = replace(start.problem, pool=None)
-        begun = Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
-                      start.problem, base.best._replace(slopes=None))
+        begun = Found(hypothesis(start), (*base.variants, start.variant), start.problem,
+                      base.best._replace(slopes=None))
         if far:   # the first part of the recordings shows well enough which effect it is
-            return begun.at(of_first_part(single, start.theta).theta)
+            thetas = of_first_part(single, start.theta).theta, start.nearest   # or nothing of it
+            return min(map(begun.at, thetas), key=cost_of)
         best = most_probable(single, start.nearest, ROUGH_ROUNDS, {
             field: column for field, column in slopes.items() if field not in own})
         return begun._replace(best=best._replace(slopes=None))
@@ -109,16 +113,19 @@ def extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal,
         if found.best.cost < math.inf:
             forms.append(found)
         tick()
-    return around(forms, base, null, tick, goal, screened.slopes)
+    return around(forms, base, null, tick, goal, screened.slopes, {
+        hypothesis(start) for start, slopes in starts if slopes is not screened.slopes})
 
 
 def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], None],
-            goal: Goal, at_base: Mapping[str, Array] = NONE) -> dict[Names, Found]:
+           goal: Goal, at_base: Mapping[str, Array] = NONE, added: Collection[Names] = ()
+           ) -> dict[Names, Found]:
     """
     Return the fits of `base` with one more effect, from rough fits of it in several forms.
 
     The best is fitted first; then the next best, and effects that may take its place. at_base:
-    columns of the Jacobian, by field, from which the rough fits were made; else as `extended`.
+    columns of the Jacobian, by field, from which the rough fits were made, but for those of the
+    hypotheses that a second screen has added; these take no places of others. Else as `extended`.
     """
     problem = base.problem
     fits: dict[Names, Found] = {}
@@ -129,11 +136,11 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
             fits[found.names] = found
     if not fits:
         return {}
-    ranked = sorted(fits.values(), key=cost_of)[:1 + FULL_FITS]
+    ranked = sorted(fits.values(), key=cost_of)[:1 + FULL_FITS + len(added)]
     leader = converged(ranked[0].refined(2 * ROUNDS))
     if never_slides(leader):
         return around([form for form in rough if form is not ranked[0]], base, null, tick, goal,
-                       at_base)
+                      at_base, added)
     best_forms = {names: found.best for names, found in fits.items()}
     fits[leader.names] = leader
     fields, own = freed_fields(leader)
@@ -157,7 +164,7 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
         starts = [(min(shared, key=form.problem.cost), at_leader)]
         # Where there is much to explain, the leader's parameter values may be a bad start.
         if null.may_lack_an_effect and form.best is best_forms.get(form.names):
-            starts.append((form.best.theta, at_base))
+            starts.append((form.best.theta, NONE if form.names in added else at_base))
         best = form.best._replace(cost=math.inf)
         # A further form only counts if it is better than the others of its effect.
         limit = min(most, reached.get(form.names, math.inf) + COST_RANGE)

@@ -219,13 +219,26 @@ def _hypotheses(null: Found, only: Sequence[Found] | None, tick: Callable[[], No
         found = in_best_formulation(with_noise_from_fit(found))
     elif (plain := sufficient(found[()])) is not None:   # beside it, nothing has evidence
         return {(): plain}
-    elif (not all(each.problem.is_far(each.best.cost) for each in found.values())
-          and _one_is_enough(other := in_formulation(found, True))):
-        return other
+    elif _may_be_of_other_laws(found):
+        other = in_formulation(with_noise_from_fit(found), True)
+        if _one_is_enough(other):
+            return other
     pairs = with_pairs(found, tick, alone)
     if pairs is found or not (alone or _only_noise_left(pairs)):
         return pairs
     return in_best_formulation(with_noise_from_fit(pairs), found)
+
+
+def _may_be_of_other_laws(found: Mapping[Names, Found]) -> bool:
+    """
+    Return whether laws formulated in another way may explain what follows a valve.
+
+    Not of the valve itself: no formulation leaves the steps of a converter, which may be a second
+    effect although the first one is enough.
+    """
+    group = found[()].problem.group
+    return ('valve' not in group.channels and group.measures_valve and not group.floor_measured
+            and not all(each.far for each in found.values()))
 
 
 def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
