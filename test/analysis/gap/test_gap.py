@@ -365,6 +365,13 @@ def test_truth_is_in_the_set(seed):
     assert '+'.join(sorted(case.effects)) in answer['ambiguity_set']
 
 
+@pytest.mark.slow
+def test_what_the_beginning_of_a_chirp_hardly_shows_is_found_in_the_whole():
+    """A fit of the first part had no viscous friction; soft seals with a damping imitate it."""
+    case = draw(1050005)
+    assert diagnose([bags.as_run(case.recording)], case.nominal).verdict == case.effects
+
+
 def test_fit_starts_from_parameters_outside_its_bounds():
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1]
     null = fit_null(group)   # without compliance, which what touches has

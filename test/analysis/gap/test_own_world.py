@@ -51,12 +51,3 @@ def test_the_form_with_fewer_parameters_stands_for_an_effect(share):
     assert answer['verdict'] == 'coulomb_friction' and answer['probability'] > 0.9
     friction, = (each for each in answer['which'] if each['effect'] == 'coulomb_friction')
     assert set(friction['parameters']) == {'friction_coulomb'}
-
-
-@pytest.mark.slow
-def test_shapes_of_the_laws_do_not_hide_an_effect_that_explains_more():
-    """Of a free load: other shapes of damping and seals leave nearly as little as its air."""
-    case = draw_own(203003)
-    assert case.changed == 'entrained_air'
-    answer = document(diagnose([case.run], case.nominal))
-    assert answer['verdict'] == 'entrained_air' and answer['probability'] > 0.9

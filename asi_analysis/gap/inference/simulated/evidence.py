@@ -21,7 +21,6 @@ from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
 from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
-from asi_analysis.gap.inference.simulated.fits import needs_other_shapes
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
@@ -83,7 +82,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
     equal = equal_below(least) if group.other_formulation or coloured(group) else exact
-    simplest = _simplest_explained(found, least) if group.may_differ else None
+    simplest = _simplest_explained(found) if group.may_differ else None
 
     def left(each: Found) -> Array:
         """Return the mean square residual; one below that of `simplest` is no evidence."""
@@ -181,24 +180,16 @@ def with_improbable_named(found: Found) -> Iterator[Found]:
                     problem=replace(problem, free=without_prior(problem.free, [variant])))
 
 
-def _simplest_explained(found: Mapping[Names, Found], least: Found) -> Found | None:
+def _simplest_explained(found: Mapping[Names, Found]) -> Found | None:
     """
     Return the hypothesis with the fewest effects that explains the recordings, if there is one.
 
     That is: it leaves only noise, with probable nominal parameters. A smaller residual is no
     evidence for more effects: a formulation that hardly differs from the simulator's leaves as
-    much. But one that costs COST_RANGE more than `least`, the hypothesis with the lowest cost,
-    does not count if it needs other shapes of the simulator's own laws, and `least` does not.
+    much.
     """
-    group = least.problem.group
-    explained = sorted((each for each in found.values() if not each.may_lack_an_effect),
-                       key=lambda each: (len(each.names), each.best.cost))
-    worse = [each for each in explained if each.best.cost > least.best.cost + COST_RANGE]
-    if worse and not (group.other_formulation or group.floor_measured
-                      or needs_other_shapes(least)):
-        explained = [each for each in explained
-                     if each not in worse or not needs_other_shapes(each)]
-    return next(iter(explained), None)
+    explained = [each for each in found.values() if not each.may_lack_an_effect]
+    return min(explained, key=lambda each: (len(each.names), each.best.cost), default=None)
 
 
 def _with_steps_of(found: Found, simplest: Found) -> Names:

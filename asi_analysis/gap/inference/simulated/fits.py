@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.formulation import with_usual_shapes
 from asi_analysis.gap.inference.coloured_noise import with_coloured_noise
 from asi_analysis.gap.inference.posterior import (
     LIGHT_ROUNDS,
@@ -202,15 +201,3 @@ def with_usual_parameters(found: Found) -> Found:
 def columns_of(problem: Posterior, jacobian: Array) -> dict[str, Array]:
     """Return the columns of a Jacobian by the fields of the free parameters."""
     return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}
-
-
-def needs_other_shapes(found: Found) -> bool:
-    """Return whether the simulator's own shapes of the laws, refitted, fit far worse."""
-    group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
-    if free == found.problem.free:
-        return False
-    values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
-    theta = np.array([problem.parameter(each).share(float(
-        (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
-    goal = found.best.cost + COST_RANGE
-    return most_probable(problem, theta, goal=goal).cost > goal

@@ -11,11 +11,12 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.formulation import (
     with_formulation,
     with_tolerance_of_formulation,
+    with_usual_shapes,
 )
-from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares
+from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
-from asi_analysis.gap.inference.simulated.fits import converged, needs_other_shapes
+from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
@@ -51,7 +52,7 @@ def in_best_formulation(found: Mapping[Names, Found],
     null = own[()]
     other = not any(map(_explains_with_one, own.values())) or (
         not null.problem.is_far(null.best.cost)
-        and needs_other_shapes(min(own.values(), key=cost_of)))
+        and _needs_other_shapes(min(own.values(), key=cost_of)))
     return in_formulation(found, other, known)
 
 
@@ -178,3 +179,15 @@ def goal_beside(leader: Found) -> float:
     """Return the cost that a fit must reach to compete with the best one."""
     return (leader.best.cost + COST_RANGE
             + EXCESS_RANGE * max(leader.best.cost - leader.problem.noise_cost, 0.0))
+
+
+def _needs_other_shapes(found: Found) -> bool:
+    """Return whether the simulator's own shapes of the laws, refitted, fit far worse."""
+    group, free = found.problem.group, with_usual_shapes(found.problem.group, found.problem.free)
+    if free == found.problem.free:
+        return False
+    values, problem = found.problem.record(found.best.theta), replace(found.problem, free=free)
+    theta = np.array([problem.parameter(each).share(float(
+        (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
+    goal = found.best.cost + COST_RANGE
+    return most_probable(problem, theta, goal=goal).cost > goal
