@@ -119,9 +119,9 @@ def that_count(near: Sequence[Found], value: Callable[[Found], float],
     """
     Yield those hypotheses that may count, with their log evidence.
 
-    The one with the fewest parameters comes first, since it leaves the largest volume: with that,
-    others cannot reach the best one, and their own volume need not be computed. Then the others,
-    by their log posterior, `value`.
+    The one with the fewest parameters comes first, since its volume is the largest, in general;
+    then the others, by their log posterior, `value`. What could not reach the best one with the
+    largest volume so far does not count, and its own is not computed.
     """
     simple = min(near, key=lambda each: (each.best.theta.size, -value(each)))
     others = sorted((each for each in near if each is not simple), key=value, reverse=True)
