@@ -68,6 +68,7 @@ def test_second_recording_may_have_another_phase_of_a_disturbance():
     assert turns == pytest.approx(0.1 - 0.45, abs=0.02)
 
 
+@pytest.mark.slow
 def test_second_recording_may_have_another_offset():
     runs = [recorded(seed=seed, force_sensor__offset=offset)[:1000]
             for seed, offset in ((5, 40.0), (6, -25.0))]

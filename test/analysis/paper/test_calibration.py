@@ -76,6 +76,7 @@ def test_polish_steps_to_the_limits_and_not_through_others():
     assert search._step(np.array([0.5, 0.5]), here, slopes, 0.01) == pytest.approx(0.51)
 
 
+@pytest.mark.slow
 def test_structures_hold_what_they_say():
     cylinder = new_search(Candidate({}, Conditions()), STRUCTURES['cylinder'], 1, 0.1)
     assert result(cylinder).actuator['force_sensor.mass_share'] == 0.0
