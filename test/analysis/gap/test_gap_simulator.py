@@ -317,6 +317,32 @@ def test_seals_in_parallel_that_soften_are_friction_of_another_form(monkeypatch)
         improved['friction.element_ratio'])
 
 
+@pytest.mark.parametrize(('channels', 'measured', 'far', 'enough', 'sought'), [
+    (CHANNELS, True, False, True, False),
+    (CHANNELS, True, False, False, True),
+    (CHANNELS, True, True, True, True),       # no formulation explains so much
+    (CHANNELS, False, False, True, True),     # with the valve, whose command may have steps
+    (('valve',), True, False, True, True)])
+def test_pairs_are_sought_unless_one_effect_is_enough_with_other_laws(
+        monkeypatch, channels, measured, far, enough, sought):
+    group = SimpleNamespace(channels=channels, measures_valve=measured, floor_measured=False)
+    one = SimpleNamespace(problem=SimpleNamespace(group=group), far=far, unexplained=True,
+                          may_lack_an_effect=True)
+    found = {(): one, ('sensor_lag',): one}
+    other = {(): one, ('sensor_lag',): SimpleNamespace(**{
+        **vars(one), 'may_lack_an_effect': not enough})}
+    for name in ('with_uneven_delay', 'with_noise_left', 'with_noise_from_fit'):
+        monkeypatch.setattr(search, name, lambda found: found)
+    monkeypatch.setattr(search, 'single_effects', lambda *_: found)
+    monkeypatch.setattr(search, 'sufficient', lambda null: None)
+    monkeypatch.setattr(search, 'in_formulation', lambda *_: other)
+    pairs = []
+    monkeypatch.setattr(search, 'with_pairs', lambda found, *_: pairs.append(found) or found)
+    answer = search._hypotheses(one, None, lambda: None, False)
+    assert answer is (found if sought else other)
+    assert len(pairs) == sought
+
+
 def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
     """Both within what is not known of a machine: its parameters stay as probable as they are."""
     nominal = {'load.type': 'spring'}

@@ -76,7 +76,8 @@ def _fitted_to_the_end(weighed: Weighed) -> Found:
     """
     Return the most probable hypothesis with its parameters fitted to the end.
 
-    Also from nominal values, unless that does not promise less: friction makes the cost rough.
+    Also from nominal values, since friction makes the cost rough; that is given up where it does
+    not promise to cost less.
     """
     chosen = most_probable_of(weighed)
     problem, theta = chosen.fitted.problem, chosen.fitted.theta
