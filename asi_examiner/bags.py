@@ -37,11 +37,13 @@ OMITTED = {'all': (), 'no_valve': ('valve_position_m',), 'no_velocity': ('veloci
            'no_position': ('position_m',),
            'force_only': ('valve_position_m', 'velocity_m_s', 'position_m')}
 
+JOINTS = ('joint', 'mixed')   # worlds of joints
+
 
 class Answer(NamedTuple):
     """The sealed answer of a case."""
 
-    kind: str               # effect, pair, none, small or outside
+    kind: str               # effect, pair, none, small, outside or mixed
     effects: list[str]
     blocks: list[str]
     excitation: str
@@ -133,10 +135,10 @@ def _own(seed: int, recordings: int) -> _Made:
         case.nominal)
 
 
-def _joint(seed: int, recordings: int) -> _Made:
+def _joint(seed: int, recordings: int, world: str) -> _Made:
     """Return a joint, which has no model and no fresh recording."""
-    case = draw_joint(seed, recordings)
-    return _Made(Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, 'joint',
+    case = draw_joint(seed, recordings, world == 'mixed')
+    return _Made(Answer(case.kind, list(case.effects), list(case.blocks), case.excitation, world,
                         '', 'all', case.visibility, {}, case.rate_hz, case.also), case.runs)
 
 
@@ -153,10 +155,10 @@ def _write(out: Path, number: int, seed: int, world: str, load: str, signals: st
            recordings: int, beyond: float | None) -> Answer:
     """Write a case, in place of an incomplete one of a call that was stopped."""
     made = (_own(seed, recordings) if world == 'own' else
-            _joint(seed, recordings) if world == 'joint' else
+            _joint(seed, recordings, world) if world in JOINTS else
             _static(seed) if world == 'static' else
             _made(draw(seed, world, load, beyond=beyond), signals, recordings))
-    count = len(made.runs) - (world != 'joint')
+    count = len(made.runs) - (world not in JOINTS)
     for name, run in zip(_names(number, count), made.runs, strict=False):
         shutil.rmtree(out / name, ignore_errors=True)
         write_bag(run, out / name)
@@ -198,7 +200,7 @@ def write_cases(out: Path, count: int, seed: int, world: str = 'textbook', load:
 
 def _entry(out: Path, number: int, world: str, load: str, recordings: int) -> dict[str, Any]:
     """Return the bags and the model of a case, as cases.json lists them."""
-    if world == 'joint':   # neither a model nor a fresh bag
+    if world in JOINTS:   # neither a model nor a fresh bag
         first, *more, _ = _names(number, recordings)
         return {'bag': first, 'more': more, 'plant': 'joint'}
     if world == 'static':   # one or two recordings, and no model

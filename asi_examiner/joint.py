@@ -23,6 +23,7 @@ STEP_S: Final = 5e-5
 DURATION_S: Final = 12.0
 RATES_HZ: Final = (250.0, 500.0, 1000.0)
 RING: Final = 4096
+MOST_DRAWS: Final = 60
 VISIBLE: Final = 0.06    # share of the signal that nothing nominal explains
 ENCODER_BITS: Final = (14, 16, 18)
 FIELDS: Final = (
@@ -261,8 +262,13 @@ def _effect(name: str, rng: np.random.Generator, servo: bool, size: float, speed
     return choices[name]
 
 
-def draw_joint(seed: int, recordings: int = 1) -> JointCase:
-    """Return the case of a seed, with so many recordings."""
+def draw_joint(seed: int, recordings: int = 1, mixed: bool = False) -> JointCase:
+    """
+    Return the case of a seed, with so many recordings.
+
+    mixed: every joint has an effect, and beside it something outside the vocabulary; each of them
+    can be seen alone.
+    """
     rng = np.random.default_rng([seed, 21])
     servo, turns = rng.random() < 0.3, bool(rng.random() < 0.7)
     rate = float(rng.choice(RATES_HZ))
@@ -290,23 +296,31 @@ def draw_joint(seed: int, recordings: int = 1) -> JointCase:
         values['offset'] = rng.uniform(-0.2, 0.2) * usual
     stiffness = inertia * _log(rng, 40.0, 90.0) ** 2
     effects = FOLLOWING if servo else FORCED
-    kind = str(rng.choice(['effect', 'none', 'outside'], p=[0.65, 0.18, 0.17]))
+    outside = OUTSIDE['servo' if servo else 'forced']
+    kind = 'mixed' if mixed else str(rng.choice(['effect', 'none', 'outside'],
+                                                p=[0.65, 0.18, 0.17]))
     if servo and kind == 'none':
         kind = 'effect'
-    for _ in range(40):
-        name = str(rng.choice(OUTSIDE['servo' if servo else 'forced'] if kind == 'outside'
-                              else list(effects)))
-        more = {} if kind == 'none' else _effect(name, rng, servo, size, speed, usual, inertia)
-        plant = _record(values | more)
+    for _ in range(MOST_DRAWS):
+        drawn = [str(rng.choice(outside if kind == 'outside' else list(effects)))]
+        if mixed:
+            drawn.append(str(rng.choice(outside)))
+        chosen = () if kind == 'none' else tuple(drawn)
+        changes = [_effect(name, rng, servo, size, speed, usual, inertia) for name in chosen]
+        plant = _record({key: value for change in (values, *changes)
+                         for key, value in change.items()})
         recorded = _simulated(servo, plant, course, stiffness, substeps)
         if not np.abs(recorded[1]).max() < 5.0 * size:   # not a number, or unstable
             continue
-        share = _visibility(servo, values, course, stiffness, substeps, recorded)
+        alone = [recorded] if len(changes) < 2 else [
+            _simulated(servo, _record(values | change), course, stiffness, substeps)
+            for change in changes]
+        share = min(_visibility(servo, values, course, stiffness, substeps, each)
+                    for each in alone)
         if kind == 'none' or share > VISIBLE:
             break
     else:
-        raise ValueError(f'seed {seed}: no {name} can be seen')
-    chosen = () if kind == 'none' else (name,)
+        raise ValueError(f'seed {seed}: no {kind} can be seen')
     runs = [_run(servo, turns, rate, recorded, size, rng)]
     for _ in range(recordings - 1):
         course = _course(rng, substeps * STEP_S, size * rng.uniform(0.6, 1.0),

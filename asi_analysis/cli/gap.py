@@ -202,11 +202,12 @@ def gap_check(
         min=0, max=MOST_SEED,
         help='First seed of the new cases; below 10000: used in development')] = 20000,
     world: Annotated[Literal[
-        'textbook', 'full', 'foreign', 'own', 'joint', 'static'], typer.Option(
+        'textbook', 'full', 'foreign', 'own', 'joint', 'mixed', 'static'], typer.Option(
         help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
              'courses and noise, small effects everywhere; own: the simulator itself, one '
-             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos; static: '
-             'characteristics')] = 'textbook',
+             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos; mixed: the '
+             'same, an effect beside something that has no name; static: characteristics')
+    ] = 'textbook',
     load: Annotated[Literal['spring', 'locked'], typer.Option(
         help='Load of new cases')] = 'spring',
     signals: Annotated[

@@ -143,9 +143,9 @@ def truth_of(answer: Mapping[str, Any]) -> str:
     """Return the right verdict: the effects joined by +, no_gap or unknown."""
     if answer['kind'] in ('none', 'small'):
         return NO_GAP
-    if answer['kind'] == 'outside' or not all(map(block_of, answer['effects'])):
+    if answer['kind'] == 'outside':
         return UNKNOWN
-    return '+'.join(sorted(answer['effects']))
+    return '+'.join(sorted({name if block_of(name) else UNKNOWN for name in answer['effects']}))
 
 
 def is_right(row: Row, answer: Mapping[str, Any]) -> bool:
@@ -192,7 +192,7 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
     single = [(r, a) for r, a in both if a['kind'] == 'effect']
     pairs = [(r, a) for r, a in both if a['kind'] == 'pair']
     kinds = {kind: [(r, a) for r, a in both if a['kind'] == kind]
-             for kind in ('none', 'small', 'outside')}
+             for kind in ('none', 'small', 'outside', 'mixed')}
 
     def first(row: Row) -> str | None:
         return row['which'][0]['effect'] if row['which'] else None
@@ -233,6 +233,9 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
                                     for r, _ in kinds['none']]),
         'small_wrong_rate': _share([not is_right(r, a) for r, a in kinds['small']]),
         'unknown_rate': _share([UNKNOWN in r['verdict'] for r, _ in kinds['outside']]),
+        'mixed_rate': _share([is_truth(r['verdict'], a) for r, a in kinds['mixed']]),
+        'mixed_effect_rate': _share([bool(set(r['verdict'].split('+')) & set(a['effects']))
+                                     for r, a in kinds['mixed']]),
         'pair_rate': _share([set(a['effects']) <= set(names)
                              for names, (_, a) in zip(named, pairs, strict=True)]),
         'pair_one_rate': _share([bool(set(a['effects']) & set(names))
@@ -277,7 +280,8 @@ REACH: Final = {
     'effect_or_parameter_accuracy': '0.85 beyond the tolerance',
     'visible_effect_accuracy': '0.99 of the own world', 'ambiguity_coverage': '0.97',
     'mean_ambiguity_size': 'at most 1.5', 'false_alarm_rate': 'at most 0.03',
-    'unknown_rate': '0.90', 'pair_rate': '0.85', 'pair_one_rate': '0.99',
+    'unknown_rate': '0.90', 'mixed_rate': '', 'mixed_effect_rate': '',
+    'pair_rate': '0.85', 'pair_one_rate': '0.99',
     'confidently_wrong_rate': 'at most 0.02', 'calibration_error': 'at most 0.05',
     'shrink_within_005': '0.95', 'interval_coverage': '0.90 to 0.99', 'size_coverage': '',
     'small_wrong_rate': '', 'median_seconds': '', 'refused': ''}

@@ -10,6 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from asi_actuator.model.effects import BLOCKS
 from asi_analysis.arrays import Array, Mask
+from asi_analysis.gap.findings.ripple import Ripple
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
@@ -19,6 +20,7 @@ from asi_analysis.gap.model.group import Group, Values
 from asi_analysis.gap.model.predict import compared, measured, predict, unexplained
 from asi_analysis.gap.motion import low_pass
 from asi_analysis.gap.prepare import Recording, velocity_of
+from asi_analysis.gap.words import digits
 
 BANDS_HZ = ((0.0, 1.0), (1.0, 5.0), (5.0, 20.0), (20.0, 60.0), (60.0, 200.0))
 # Blocks of each channel: they share its gap if no effect is named.
@@ -31,7 +33,9 @@ LEAST_SHARE = 0.01       # of the samples in a regime, and of a gap
 LEAST_PROBABILITY = 0.02   # of a hypothesis whose effects' contributions are computed
 BINS = 16
 REPORTED_SHARE = 0.2     # share of the residual's power above which a dependence is reported
+NEARLY = 0.9   # a sine has two parameters where the means have BINS
 IN_TIME = 'time in the run'
+OF_FORCE = ('force', 'load')   # channels that compare the force
 REPORTED_FACTOR = 1.6    # ratio of the largest to the smallest regime that is reported
 
 
@@ -281,12 +285,13 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     """
     Return the share (0 to 1) of a residual's power that is a function of one quantity.
 
-    By quantity: the share that its means in BINS bins explain.
+    By quantity: the share that its means in BINS bins explain. Of a residual of the force, by the
+    predicted force: what nothing explains is always a function of the measured one.
     """
     residual, kinds = [], []
     for recording in group.recordings:
-        valid = recording.valid
-        residual.append(unexplained(recording, channel, p)[valid])
+        valid, left = recording.valid, unexplained(recording, channel, p)
+        residual.append(left[valid])
         motion = recording.motion
         inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
         kinds.append({name: values[valid] for name, values in (
@@ -294,7 +299,9 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
             ('velocity', velocity_of(recording)),
             ('input' if channel == 'static' else 'command', recording.command),
             ('valve position', recording.valve_position),
-            ('force', recording.force), (IN_TIME, recording.time_s),
+            ('force' if channel not in OF_FORCE else 'predicted force',
+             recording.force if channel not in OF_FORCE else measured(recording, channel) - left),
+            (IN_TIME, recording.time_s),
             ) if values is not None and not (
                 name == 'valve position' and channel in ('valve', 'static'))})
     rest = np.concatenate(residual)
@@ -309,10 +316,21 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def in_words(regimes: list[Regime], depends: Mapping[str, float]) -> str:
-    """Return a sentence that says what the residual depends on."""
+def in_words(regimes: list[Regime], depends: Mapping[str, float], rippled: Ripple | None = None,
+             unit: str = 'm') -> str:
+    """
+    Return a sentence that says what the residual depends on.
+
+    rippled: by the position; told where it explains nearly what the means of `dependence` do.
+    """
+    shares = dict(depends)
+    if rippled and rippled.share > NEARLY * shares.get('position', 0.0):
+        shares.pop('position', None)
+        period = digits(rippled.period, unit)
+        shares[f'position, a ripple with a period of {period}'] = rippled.share
     parts = [f'{100 * share:.0f} % of it is a function of the {name}'
-            for name, share in list(depends.items())[:2] if share > REPORTED_SHARE]
+             for name, share in sorted(shares.items(), key=lambda item: -item[1])[:2]
+             if share > REPORTED_SHARE]
     for kind in dict.fromkeys(regime.kind for regime in regimes):
         own = [regime for regime in regimes if regime.kind == kind]
         most = max(own, key=lambda regime: regime.after)

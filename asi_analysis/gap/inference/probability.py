@@ -7,7 +7,7 @@ the noise with the effective sample size. See doc/explanation/gap_method.md.
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -164,6 +164,11 @@ def _formulation_error(e: Evidence, c: Constants, names: Names, channel: str) ->
     return share ** 2 * max(e.residual[()][channel] - e.residual[names][channel], 0.0)
 
 
+def _price(effects: int, c: Constants) -> float:
+    """Return the log prior odds against so many effects."""
+    return c.price + c.second * (effects - 1) if effects else 0.0
+
+
 def _effective_samples(e: Evidence, c: Constants) -> float:
     """Return the effective sample size of a channel's residual, if it is a model error."""
     # A model error is correlated over a recording: its information grows with the square root.
@@ -224,9 +229,8 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
     for before, count in itertools.pairwise(sorted({0} | {len(names) for names in which})):
         best[count] = max((names for names in which if len(names) == count),
                           key=lambda names: which[names])
-        prices = sum(c.price if number == 1 else c.second
-                     for number in range(before + 1, count + 1))
-        score[count] = score[before] - prices + _evidence_gain(e, c, best[before], best[count])
+        score[count] = (score[before] - _price(count, c) + _price(before, c)
+                        + _evidence_gain(e, c, best[before], best[count]))
     highest = max(score.values())
     score[0] = max(0.0, highest - _evidence_limit(e, c))
     weight = {count: math.exp(value - highest) for count, value in score.items()}
@@ -239,22 +243,39 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
                          * math.exp(value - which[best[count]]) / same)
     likely = max(chance, key=lambda names: chance[names])
     unknown = unknown_probability(e, likely, c)
-    return with_unknown(chance, unknown, max(
-        1.0 - math.sqrt(e.residual[likely][channel] / e.residual[()][channel])
-        for channel in e.noise))
+    effects = max((names for names in chance if names), key=lambda names: chance[names],
+                  default=())
+    gap, left = ([e.residual[names][channel] for channel in e.noise] for names in ((), effects))
+    return with_unknown(chance, unknown, beside_unknown(
+        gap, left, len(effects), _effective_samples(e, c), c))
 
 
-def with_unknown(chance: Mapping[Names, float], unknown: float, share: float
+def beside_unknown(gap: Iterable[float], left: Iterable[float], effects: int, samples: float,
+                   c: Constants) -> float:
+    """
+    Return the probability that effects are real, if there is something unknown.
+
+    Either what is unknown makes the whole gap, or what the effects leave of it. It has so many
+    effective samples, and each effect has its prior odds, as in `probabilities`.
+
+    gap, left: mean squares of each channel without and with the effects; effects: their number.
+    """
+    gain = 0.5 * samples * sum(math.log(before / after)
+                               for before, after in zip(gap, left, strict=True))
+    return as_probability(gain - _price(effects, c)) if effects else 0.0
+
+
+def with_unknown(chance: Mapping[Names, float], unknown: float, real: float
                  ) -> dict[Names, float]:
     """
     Return the probability of every hypothesis with and without something unknown.
 
-    chance: probabilities without; unknown: probability of something unknown; share: of the gap
-    (rms) that the effects explain: the probability that they are real if there is an unknown one.
+    chance: probabilities without; unknown: probability of something unknown; real: probability
+    that effects are real beside it.
     """
     effects = 1.0 - chance[()]
-    beside = {tuple(sorted((*names, UNKNOWN))): unknown * share * p / effects
-              for names, p in chance.items() if names and share > 0.0 and effects > 0.0}
+    beside = {tuple(sorted((*names, UNKNOWN))): unknown * real * p / effects
+              for names, p in chance.items() if names and effects > 0.0}
     return ({names: (1.0 - unknown) * p for names, p in chance.items()} | beside
             | {(UNKNOWN,): unknown - sum(beside.values())})
 

@@ -22,7 +22,9 @@ from asi_analysis.gap.answer.command import (
 )
 from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
+from asi_analysis.gap.findings import localisation
 from asi_analysis.gap.findings.localisation import by_block, explained
+from asi_analysis.gap.findings.ripple import ripple
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
 from asi_analysis.gap.model.effects import BY_NAME
@@ -230,3 +232,19 @@ def test_effects_of_the_nominal_model_are_said_to_be_approximate():
                                           'valve_hysteresis.radius=0.0'])['notes']
     assert sum('load.external_force, which the diagnosis does not' in note for note in notes) == 1
     assert not any('which the diagnosis does not' in note for note in asi_diagnose([run])['notes'])
+
+
+def test_a_ripple_by_the_position_is_told_with_its_period(monkeypatch):
+    """Two recordings, whose positions have other origins; beside noise and a slow course."""
+    rng, time = np.random.default_rng(1), np.linspace(0.0, 10.0, 4000)
+    turned = 0.8 * np.sin(1.3 * time) + 0.1 * np.sin(7.1 * time)
+    rest = np.sin(40.0 * turned) + 0.3 * rng.standard_normal(time.size) + 0.2 * np.sin(0.3 * time)
+    recordings = [SimpleNamespace(
+        motion=SimpleNamespace(position=turned + origin, pad=0, measured=True),
+        valid=np.ones(time.size, bool), fit=np.ones(time.size, bool)) for origin in (0.0, 0.3)]
+    monkeypatch.setattr('asi_analysis.gap.findings.ripple.unexplained', lambda *_: rest)
+    found = ripple(SimpleNamespace(recordings=recordings), 'load', None)
+    assert found.period == pytest.approx(2.0 * np.pi / 40.0, rel=0.01)
+    assert found.share == pytest.approx(0.5 / np.mean(rest ** 2), rel=0.1)
+    words = localisation.in_words([], {'position': 0.1, 'velocity': 0.3}, found, 'rad')
+    assert 'ripple with a period of 0.157 rad' in words and 'of the velocity' in words

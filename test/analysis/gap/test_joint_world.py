@@ -8,7 +8,7 @@ import pytest
 from asi_analysis.gap.check.check import is_truth, run_cases, score, unseal
 from asi_analysis.gap.diagnose import diagnose, document
 from asi_examiner.bags import write_cases
-from asi_examiner.joint import FOLLOWING, FORCED, OF_A_SERVO, draw_joint
+from asi_examiner.joint import FOLLOWING, FORCED, OF_A_SERVO, OUTSIDE, VISIBLE, draw_joint
 
 DYNAMICS = {'inertia', 'damping', 'gravity', 'gravity_zero', 'spring', 'offset', 'stribeck',
             'bristle', 'pulsation', 'ratio'}
@@ -25,6 +25,13 @@ def test_joint_is_what_its_answer_says(seed):
     effects = FOLLOWING if case.also else FORCED
     assert case.blocks == tuple(effects[name] for name in case.effects if name in effects)
     assert set(case.also) <= set(OF_A_SERVO)
+
+
+def test_a_mixed_joint_has_an_effect_and_something_else():
+    case = draw_joint(60000, mixed=True)
+    effect, other = case.effects
+    assert effect in FORCED and other in OUTSIDE['forced'] and case.blocks == (FORCED[effect],)
+    assert case.visibility > VISIBLE   # of each alone
 
 
 def test_cases_of_joints_are_written_and_judged(tmp_path):

@@ -18,6 +18,7 @@ from asi_analysis.gap.inference.probability import (
     SIMULATOR,
     Names,
     as_probability,
+    beside_unknown,
     unknown_odds,
     with_unknown,
 )
@@ -66,8 +67,9 @@ def weighed_of(found: Mapping[Names, Found], alone: bool, other: bool | None = N
     if unknown == 0.0:
         return weighed
     outside = weighed.probability[(UNKNOWN,)]
-    chance = with_unknown({names: weighed.probability[names] for names in candidates}, unknown,
-                          float((1.0 - np.sqrt(best.relative_residual / gap)).max()))
+    chance = with_unknown(
+        {names: weighed.probability[names] for names in candidates}, unknown,
+        beside_unknown(gap, best.relative_residual, len(best.names), SIMULATOR.samples, SIMULATOR))
     return weighed._replace(probability=chance | {
         (UNKNOWN,): chance[(UNKNOWN,)] + (1.0 - unknown) * outside})
 
