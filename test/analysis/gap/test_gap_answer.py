@@ -247,4 +247,4 @@ def test_a_ripple_by_the_position_is_told_with_its_period(monkeypatch):
     assert found.period == pytest.approx(2.0 * np.pi / 40.0, rel=0.01)
     assert found.share == pytest.approx(0.5 / np.mean(rest ** 2), rel=0.1)
     words = localisation.in_words([], {'position': 0.1, 'velocity': 0.3}, found, 'rad')
-    assert 'ripple with a period of 0.157 rad' in words and 'of the velocity' in words
+    assert 'a ripple with a period of 0.15' in words and 'of the velocity' in words
