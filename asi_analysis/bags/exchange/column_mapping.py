@@ -180,7 +180,9 @@ def numbers_of(name: str, column: npt.NDArray, path: Path) -> Array:
                     continue
                 found = SI_NUMBER.fullmatch(cell.strip())
                 if found is None:
-                    hint = '; is that a decimal comma?' if ',' in cell else ''
+                    hint = ('; is that a decimal comma, or does it separate thousands? Write '
+                            'numbers with a point and without separators of thousands'
+                            if ',' in cell else '')
                     raise InputError(f'{path}: column {name}, row {row + 1}: {cell[:60]!r} is '
                                      f'not a number{hint}') from None
                 values[row] = float(found[1]) * SI_PREFIX[found[2]]

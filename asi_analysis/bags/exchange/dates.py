@@ -55,6 +55,11 @@ def since_first(name: str, column: npt.NDArray, path: Path) -> Array | None:
     return (times - times[0]) / np.timedelta64(1, 's')
 
 
+def is_moment(cell: str) -> bool:
+    """Return whether a text is a date with time, or a time of day."""
+    return ':' in cell and _MOMENT.fullmatch(cell.lstrip('-')) is not None
+
+
 def _moments(column: npt.NDArray) -> Iterator[re.Match[str] | None]:
     return (_MOMENT.fullmatch(str(cell).strip()) for cell in column)
 

@@ -5,23 +5,32 @@ import csv
 import gzip
 import io
 import re
+import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from asi_analysis.bags.exchange.dates import is_moment
 from asi_analysis.bags.exchange.units import UNITS
 from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
-from asi_analysis.errors import InputError
+from asi_analysis.errors import InputError, InputWarning
 
 COMMENT: Final = ('#', '%')
-MISSING: Final = frozenset(('', 'na', 'n/a', '#n/a', 'null', 'none', '-', 'nan'))
-# Lines at the start of a file in which delimiter, header and first row of data are looked for.
+# What stands for a missing value; those with # are the errors of Excel.
+MISSING: Final = frozenset((
+    '', 'na', 'n/a', 'null', 'none', '-', 'nan', '#n/a', '#div/0!', '#num!', '#value!', '#ref!',
+    '#name?', '#null!', '#spill!', '#calc!', '#getting_data'))
+# Lines at the start of a file in which delimiter, header and first row of data are looked for, and
+# how many of them show what is usual.
 HEAD_LINES: Final = 1000
+SAMPLED: Final = 50
+LABVIEW_HEADER: Final = '***End_of_Header***'
 BLOCK_ROWS: Final = 20_000
 # Limits: characters of a line, columns, unpacked bytes, and their ratio to the compressed ones.
 MOST_LINE: Final = 2**20
@@ -36,7 +45,9 @@ SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k'
                     'G': 1e9}
 # A list in a cell: [1, 2], (1; 2), [1 2] of numpy, or array('d', [1, 2]) of a ROS message.
 _LIST: Final = re.compile(r"(?:\w+\((?:'\w', *)?)?[\[(]([^\[\]()]*)[\])](?:, *\w+=[\w.]+)?\)?")
-_DECIMAL_COMMA: Final = re.compile(r'(?<=\d),(?=\d)')
+# A number with one comma, and one whose comma may separate thousands.
+_WITH_COMMA: Final = re.compile(r'[+-]?\d*,\d+(?:[eE][+-]?\d+)?[pnuµmkMG]?')
+_THOUSANDS: Final = re.compile(r'[+-]?[1-9]\d{0,2},\d{3}')
 
 codecs.register_error('windows-1252', lambda error: (   # the encoding of older programs
     error.object[error.start:error.end].decode('cp1252', 'replace'), error.end)
@@ -80,28 +91,40 @@ def read_text(path: Path, skip_lines: int, delimiter: str | None,
     if delimiter is not None and len(delimiter) != 1:
         raise InputError(f'delimiter = {delimiter!r} is not allowed: it takes one character')
     with unpacked(path) as raw:
-        lines = (line for line in islice(lines_of(raw, path), skip_lines, None) if line.strip())
+        # A row of empty cells between tabs is no blank line.
+        lines = (line for line in islice(lines_of(raw, path), skip_lines, None)
+                 if line.strip(' \r\n'))
         head = list(islice(lines, HEAD_LINES))
         if not head:
             raise InputError(f'{path} is empty'
                              + (f' after {skip_lines} lines' if skip_lines else ''))
-        delimiter = delimiter or _delimiter(head[len(head) // 2])
-        rows = list(_cells(head, delimiter))
-        start = _first_of_data(rows)
-        width = len(rows[len(rows) // 2])
-        if columns is None:
-            columns = _header(head[:start], delimiter, width)
-        if len(columns) > MOST_COLUMNS:
-            raise InputError(f'{path} has {len(columns)} columns: at most {MOST_COLUMNS} are '
+        head = _after_labview(head)
+        form = _form(head, delimiter)
+        start = _first_of_data([_cells(line, form.delimiter) for line in head], form)
+        names = _header(head[:start], form, path) if columns is None else list(columns)
+        if len(names) > MOST_COLUMNS:
+            raise InputError(f'{path} has {len(names)} columns: at most {MOST_COLUMNS} are '
                              'allowed')
-        if start == len(rows):
+        if start == len(head):
             raise InputError(f'{path} has no rows of numbers: they end with '
                              f'{head[-1].strip()[:60]!r}')
-        data = _cells(chain(head[start:], lines), delimiter)
-        found = _columns(data, list(columns), path)
-    names = [name if name not in columns[:number] else f'{name}#{columns[:number].count(name) + 1}'
-             for number, name in enumerate(columns)]
-    return dict(chain.from_iterable(map(_of_lists, names, found)))
+        found = _columns(_Rows(chain(head[start:], lines), names, form, path))
+    table: dict[str, npt.NDArray] = {}
+    for name, column in chain.from_iterable(map(_of_lists, _different(names), found)):
+        if name in table:
+            raise InputError(f'{path}: two columns are called {name}')
+        table[name] = column
+    return table
+
+
+def _different(names: Sequence[str]) -> list[str]:
+    """Return names, with #2, #3 ... behind those that are there before."""
+    found: list[str] = []
+    for name in names:
+        numbered = (f'{name}#{number}' for number in count(2))
+        found.append(name if name not in found else next(
+            each for each in numbered if each not in names and each not in found))
+    return found
 
 
 def _of_lists(name: str, column: npt.NDArray) -> Iterator[tuple[str, npt.NDArray]]:
@@ -113,11 +136,11 @@ def _of_lists(name: str, column: npt.NDArray) -> Iterator[tuple[str, npt.NDArray
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number or empty."""
+    """Return whether a cell is a number, also one with a decimal comma, or empty."""
     try:
         float(cell or 'nan')
     except ValueError:
-        return SI_NUMBER.fullmatch(cell) is not None
+        return bool(SI_NUMBER.fullmatch(cell) or _WITH_COMMA.fullmatch(cell))
     return True
 
 
@@ -128,13 +151,20 @@ def numbers_in(cell: str) -> int:
 
 
 def _elements(cell: str) -> list[float] | None:
-    """Return the numbers of a list in a cell; None if it holds no list of numbers."""
+    """
+    Return the numbers of a list in a cell; None if it holds no list of numbers.
+
+    Between semicolons, a comma is a decimal comma.
+    """
     found = _LIST.fullmatch(cell) if cell[-1:] in tuple('])') else None
     if found is None:
         return None
+    inner = found[1].strip()
+    mark = next((each for each in ';,' if each in inner), None)
+    elements = [each.strip() for each in inner.split(mark)] if inner else []
     try:
-        return [float('nan' if each.lower() in MISSING else each)
-                for each in re.split(r'\s*[,;]\s*|\s+', found[1].strip()) if found[1].strip()]
+        return [float('nan' if each.lower() in MISSING else each.replace(',', '.'))
+                for each in elements]
     except ValueError:
         return None
 
@@ -153,36 +183,111 @@ def lines_of(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str
         yield line
 
 
-def _columns(rows: Iterable[list[str]], names: list[str], path: Path) -> list[npt.NDArray]:
+class _Form(NamedTuple):
+    """What is usual in the lines of a file."""
+
+    delimiter: str
+    width: int                  # cells of a row
+    numeric: frozenset[int]     # columns of numbers or dates
+    row_names: bool             # the first cell may be the name of the row, not in the header
+
+
+class _Rows:
+    """The rows of data, with one cell for each name. Iterating raises InputError."""
+
+    def __init__(self, lines: Iterable[str], names: list[str], form: _Form, path: Path) -> None:
+        self.lines, self.names, self.form, self.path = lines, names, form, path
+        self.padded: tuple[int, int] | None = None      # number and cells of the shortest row
+
+    def __iter__(self) -> Iterator[list[str]]:
+        width, number = len(self.names), 0
+        for line in self.lines:
+            row = _cells(line, self.form.delimiter)
+            if _is_comment(row, self.form) or not (line.strip() or self.form.delimiter == '\t'):
+                continue
+            number += 1
+            if len(row) < width and number > 1 and not line.endswith('\n'):
+                warnings.warn(f'{self.path}: its last row, {line[:60]!r}, is cut off and left out',
+                              InputWarning, stacklevel=2)
+                return
+            if len(row) != width:
+                self._fit(row, number, width)
+            yield row
+
+    def _fit(self, row: list[str], number: int, width: int) -> None:
+        """
+        Give a row one cell for each column, or raise InputError.
+
+        Of remarks in the last column, some may be missing or contain the delimiter. Nothing tells
+        which number is missing, nor which comma is a decimal one.
+        """
+        if len(row) < width:
+            if self.form.delimiter == ' ':
+                raise self._of_other_width(number, len(row))
+            if self.padded is None or len(row) < self.padded[1]:
+                self.padded = number, len(row)
+        elif any(row[width:]) and (self.form.width > width or is_number(row[width - 1])):
+            raise self._of_other_width(number, len(row), (
+                ': if these are decimal commas, save it with semicolons or tabs between the cells'
+                if self.form.delimiter == ',' else ''))
+        row[:] = [*row, *[''] * (width - len(row))][:width]
+
+    def check_padded(self, columns: Sequence[npt.NDArray]) -> None:
+        """Raise InputError if a cell was added to a row in a column that is not of remarks."""
+        if self.padded is None:
+            return
+        number, width = self.padded
+        for name, column in zip(self.names[width:], columns[width:], strict=True):
+            if name and not _is_of_remarks(column):
+                raise self._of_other_width(number, width, ': which one is missing is not known')
+
+    def _of_other_width(self, number: int, width: int, why: str = '') -> InputError:
+        return InputError(f'{self.path}: row {number} has {width} cells, expected '
+                          f'{len(self.names)}, one for each name{why}')
+
+
+def _is_of_remarks(column: npt.NDArray) -> bool:
+    """Return whether most cells of a column that are not empty are texts."""
+    if column.dtype == float:
+        return False
+    known = [cell for cell in map(str, column) if cell.lower() not in MISSING]
+    return sum(map(is_number, known)) < 0.5 * len(known)
+
+
+def _is_comment(row: list[str], form: _Form) -> bool:
+    """Return whether a row is a comment: `#N/A,30` is none, nor is `#3,30`."""
+    if not row or not row[0].startswith(COMMENT):
+        return not row
+    if row[0].lower() in MISSING:
+        return False
+    one_word = len(row) == form.width > 1 and ' ' not in row[0]
+    return not (one_word and _are_numbers(row[1:]))
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    """Return whether cells are numbers, dates, lists or missing, and not all empty or a dash."""
+    return any(cell not in ('', '-') for cell in cells) and all(
+        cell.lower() in MISSING or is_moment(cell) or is_number(cell)
+        or _elements(cell) is not None for cell in cells)
+
+
+def _columns(rows: _Rows) -> list[npt.NDArray]:
+    names, path = rows.names, rows.path
     parts: list[list[npt.NDArray]] = [[] for _ in names]
-    rows = (row for row in rows if row and not row[0].startswith(COMMENT))
-    count = 0
-    while block := list(islice(rows, BLOCK_ROWS)):
-        for number, row in enumerate(block, count + 1):
-            if len(row) != len(names):
-                _fit(row, number, len(names), path)
+    before, all_rows = 0, iter(rows)
+    while block := list(islice(all_rows, BLOCK_ROWS)):
         for name, part, cells in zip(names, parts, zip(*block, strict=True), strict=True):
-            part.append(_as_array(cells, f'{path}: column {name}', count))
-        count += len(block)
-    if not count:
+            part.append(_as_array(cells, f'{path}: column {name}', before))
+        before += len(block)
+    if not before:
         raise InputError(f'{path} has no rows')
-    return [_joined(part, f'{path}: column {name}')
-            for name, part in zip(names, parts, strict=True)]
-
-
-def _fit(row: list[str], number: int, width: int, path: Path) -> None:
-    """
-    Give a row one cell for each column, or raise InputError.
-
-    A last column of remarks may be missing or contain the delimiter; one of numbers may not.
-    """
-    if len(row) < width - 1:
-        raise InputError(f'{path}: row {number} has {len(row)} cells, expected {width}')
-    if any(row[width:]) and all(map(is_number, row[width - 1:])):
-        raise InputError(f'{path}: row {number} has {len(row)} cells, the header names {width}: '
-                         'if these are decimal commas, save it with semicolons or tabs between '
-                         'the cells')
-    row[:] = [*row, ''][:width]
+    if rows.form.delimiter != ',':
+        for name, part in zip(names, parts, strict=True):
+            _read_commas(part, f'{path}: column {name}')
+    columns = [_joined(part, f'{path}: column {name}')
+               for name, part in zip(names, parts, strict=True)]
+    rows.check_padded(columns)
+    return columns
 
 
 def _as_array(cells: Sequence[str], what: str, before: int) -> npt.NDArray:
@@ -210,6 +315,35 @@ def _as_array(cells: Sequence[str], what: str, before: int) -> npt.NDArray:
     return np.array([each or [np.nan] * width for each in lists])
 
 
+def _read_commas(parts: list[npt.NDArray], what: str) -> None:
+    """
+    Read the decimal commas in the blocks of a column as points.
+
+    Cells stay as they are written, to be refused, if commas may as well separate thousands:
+    beside cells with a point, or 1,000 beside 999. Warns of 1,000 alone.
+    """
+    texts = [cell for part in parts if part.dtype != float for cell in map(str, part)]
+    with_comma = [cell for cell in texts if ',' in cell and _WITH_COMMA.fullmatch(cell)]
+    if not with_comma:
+        return
+    numbers = [part[np.isfinite(part)] for part in parts if part.dtype == float]
+    others = [cell for cell in texts if cell.lower() not in MISSING and ',' not in cell
+              and is_number(cell)]
+    pointed = any('.' in cell for cell in others) or any(
+        bool((part % 1.0).any()) for part in numbers)
+    decimal = not all(map(_THOUSANDS.fullmatch, with_comma))
+    if pointed or (not decimal and (others or any(part.size for part in numbers))):
+        return
+    if not decimal:
+        cell = with_comma[0]
+        warnings.warn(f'{what}: {cell} is read as {cell.replace(",", ".")}, with a decimal comma; '
+                      'if commas separate thousands, write the numbers without them', InputWarning,
+                      stacklevel=2)
+    parts[:] = [part if part.dtype == float else _as_array(
+        [cell.replace(',', '.') if _WITH_COMMA.fullmatch(cell) else cell
+         for cell in map(str, part)], what, 0) for part in parts]
+
+
 def _joined(parts: list[npt.NDArray], what: str) -> npt.NDArray:
     """Return the blocks of a column as one array; empties `parts` to free their memory."""
     listed = {part.shape[1:] for part in parts if part.dtype == float and (
@@ -229,40 +363,105 @@ def _joined(parts: list[npt.NDArray], what: str) -> npt.NDArray:
     return column
 
 
-def _delimiter(line: str) -> str:
-    """Return the delimiter that splits a row of data into most numbers."""
-    return max('\t;, ', key=lambda mark: sum(map(numbers_in, next(_cells([line], mark), []))))
+def _after_labview(head: list[str]) -> list[str]:
+    """Return the lines after the header of LabVIEW, whose rows are those of a table, too."""
+    last = max((number for number, line in enumerate(head, 1)
+                if line.startswith(LABVIEW_HEADER)), default=0)
+    return head[last:] or head
 
 
-def _first_of_data(rows: list[list[str]]) -> int:
-    """Return the index of the first row with the form of a row in the middle of the file."""
-    usual = rows[len(rows) // 2]
-    fewest = 0.5 * sum(map(bool, map(numbers_in, usual)))
-    return next((number for number, row in enumerate(rows) if len(row) >= len(usual) - 1
-                 and sum(map(bool, map(numbers_in, row))) > fewest), len(rows))
+def _form(head: list[str], delimiter: str | None) -> _Form:
+    """Return what is usual in the second half of some lines, which hardly is the header."""
+    known = [line for line in head if not line.startswith(COMMENT)] or head
+    half = known[len(known) // 2:]
+    lines = half[::len(half) // SAMPLED + 1]
+    delimiter = delimiter or max('\t;, ', key=lambda mark: _rank(lines, mark))
+    rows = [row for line in lines if (row := _cells(line, delimiter))]
+    counted = Counter(map(len, rows))
+    width = max(counted, key=lambda each: (counted[each], each), default=0)
+    columns = list(zip(*(row for row in rows if len(row) == width), strict=True))
+    numeric = frozenset(number for number, cells in enumerate(columns) if _mostly_numbers(cells))
+    quoted = all(line.lstrip().startswith('"') for line in lines)
+    return _Form(delimiter, width, numeric,
+                 bool(columns) and _may_be_row_names(columns[0], quoted, delimiter))
 
 
-def _header(before: list[str], delimiter: str, width: int) -> list[str]:
+def _rank(lines: list[str], delimiter: str) -> tuple[int, int]:
+    """Return how well a delimiter splits lines: into most numbers, and few other cells."""
+    rows = [_cells(line, delimiter) for line in lines]
+    return sum(numbers_in(cell) for row in rows for cell in row), -sum(map(len, rows))
+
+
+def _mostly_numbers(cells: Sequence[str]) -> bool:
+    known = [cell for cell in cells if cell.lower() not in MISSING]
+    return bool(known) and sum(_are_numbers([cell]) for cell in known) >= 0.5 * len(known)
+
+
+def _may_be_row_names(cells: Sequence[str], quoted: bool, delimiter: str) -> bool:
     """
-    Return the names of `width` columns: the last line before the data that can be a header.
+    Return whether cells may be the names of rows, as R writes them: counted, or texts.
+
+    In `0,0,5` the first cell is a time with a comma: between commas they must be quoted.
+    """
+    try:
+        first = int(cells[0])
+    except ValueError:
+        return quoted and not any(map(is_number, cells))
+    steps = [int(cell) - first if cell.isdigit() else -1 for cell in cells]
+    return (quoted or delimiter != ',') and len(steps) > 1 and steps[1] > 0 and all(
+        np.diff(steps) == steps[1])
+
+
+def _first_of_data(rows: list[list[str]], form: _Form) -> int:
+    """
+    Return the index of the first row of data, of any length, or the number of rows.
+
+    A missing value is data. A row of another length above the data is refused later, for it is no
+    header.
+    """
+    def is_data(row: list[str]) -> bool:
+        return _are_numbers([row[number] for number in form.numeric if number < len(row)])
+    first = next((number for number, row in enumerate(rows)
+                  if form.numeric and len(row) >= form.width - 1 and is_data(row)), len(rows))
+
+    def is_below_names(number: int) -> bool:    # a bad value in the first row makes no header
+        above = rows[number - 1] if number else []
+        return len(above) == form.width and all(above) and not any(map(is_number, above)) and any(
+            cell and is_number(cell) for cell in rows[number])
+    while 0 < first < len(rows) and (is_data(rows[first - 1]) or is_below_names(first - 1)):
+        first -= 1
+    return first
+
+
+def _header(before: list[str], form: _Form, path: Path) -> list[str]:
+    """
+    Return the names of the columns: the last line before the data that can be a header.
 
     A line of units is no header. With blanks as delimiter, names may not contain blanks.
     """
     for line in reversed(before):
-        names = next(_cells([line.lstrip('#% ')], delimiter), [])
+        names = _cells(line.lstrip('#% '), form.delimiter)
         units = all(name in UNITS or name[:1] in ('', '[', '(') for name in names)
-        if not units and abs(len(names) - width) <= (delimiter != ' '):
+        if units or all(name.lower() in MISSING for name in names):
+            continue
+        if form.row_names and len(names) == form.width - 1:
+            warnings.warn(f'{path}: its header has {len(names)} names, its rows have {form.width} '
+                          'cells: the first cells are read as names of the rows, in column #1',
+                          InputWarning, stacklevel=2)
+            return ['#1', *names]
+        if abs(len(names) - form.width) <= (form.delimiter != ' '):
             return names
-    return [f'#{number}' for number in range(1, width + 1)]
+    return [f'#{number}' for number in range(1, form.width + 1)]
 
 
-def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line; a quote that is not closed on it ends with it."""
     if delimiter in ' ,':   # Matlab ends rows with a semicolon
-        lines = (line.rstrip(' ;\r\n') for line in lines)
-    if delimiter != ',':
-        lines = (_DECIMAL_COMMA.sub('.', line) if ',' in line and '[' not in line else line
-                 for line in lines)     # not in lists
+        line = line.rstrip(' ;\r\n')
     if delimiter == ' ':
-        return (line.split() for line in lines)
-    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
-    return ([cell.strip() for cell in row] for row in reader)
+        line = ' '.join(line.split())
+        if not line:
+            return []
+    cells = line.split(delimiter) if '"' not in line else next(
+        csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [cell.strip() for cell in cells]

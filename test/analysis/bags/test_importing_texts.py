@@ -1,0 +1,102 @@
+"""Texts of other programs are read as meant, or refused; no value is shifted or scaled."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.exchange.table_file import read_table
+from asi_analysis.errors import InputError, InputWarning
+
+NAN = float('nan')
+
+
+def read(folder: Path, content: str, columns: list[str] | None = None) -> dict[str, list[float]]:
+    file = folder / 'a.csv'
+    file.write_text(content)
+    return {name: column.tolist() for name, column in read_table(file, columns=columns).items()}
+
+
+@pytest.mark.parametrize(('content', 'message'), [
+    ('t,pos,force\n0,1,10\n1,2,20\n2,30\n3,4,40\n', 'row 3 has 2 cells, expected 3'),
+    ('time pos force\n0.00 1.0 10.0\n0.01      11.0\n0.02 1.2 12.0\n', 'row 2 has 2 cells, exp'),
+    ('t x note\n0 1 ok\n1 2 ok\n2 ok\n', 'row 3 has 2 cells'),
+    ('t,pos,force,cmd\n0,1\n1,2\n2,3,4,5\n3,4,5,6\n4,5,6,7\n', 'row 1 has 2 cells'),
+    ('t,x,note\n0,0,5,ok\n1,1,5,ok\n2,2,5,ok\n', 'row 1 has 4 cells, expected 3.*decimal commas'),
+    ('t,x,note\n0,1,"two\nlines"\n1,2,\n2,3,\n', 'row 2 has 1 cells'),
+    ('t,q,q#1\n0,"[1, 2]",3\n1,"[1, 2]",3\n', 'two columns are called q#1')])
+def test_rows_of_another_width_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, content)
+
+
+@pytest.mark.parametrize(('content', 'expected'), [
+    ('t,x,note\n0,1,start, slowly\n1,2\n2,3,\n', {'x': [1, 2, 3]}),
+    ('t,x,\n0,1\n1,2\n', {'x': [1, 2]}),
+    ('pos,force\n1,10\n2,20\n#N/A,30\n#DIV/0!,40\n', {'pos': [1, 2, NAN, NAN],
+                                                      'force': [10, 20, 30, 40]}),
+    ('x\n1\n#NUM!\n3\n# a remark, 4\n', {'x': [1, NAN, 3]}),
+    ('pos\tforce\n1\t10\n\t\n\n3\t30\n', {'pos': [1, NAN, 3]}),
+    ('t,x,note\n0,1,"\n1,2,"\n2,3,"stuck\n3,4,\n', {'x': [1, 2, 3, 4]}),
+    ('t,cmd,pos\n0,NA,NA\n1,-,NA\n2,1.5,2.5\n3,1.6,2.6\n', {'pos': [NAN, NAN, 2.5, 2.6]}),
+    ('a,b\nNA,NA\n1,2\n2,3\n3,4\n', {'a': [NAN, 1, 2, 3]}),
+    ('t,x\n2024-01-01 10:00:00,NA\n2024-01-01 10:00:01,1\n2024-01-01 10:00:02,2\n',
+     {'x': [NAN, 1, 2]}),
+    ('t;x\n0;"[1,5; 2,5]"\n1;"[1,6; NA]"\n', {'x#1': [1.5, 1.6], 'x#2': [2.5, NAN]}),
+    ('t\tx\n0,5\t[1, 2]\n1,5\t[3, 4]\n', {'t': [0.5, 1.5], 'x#1': [1, 3]}),
+    ('t,x,x#2,x\n0,1,10,100\n1,2,20,200\n', {'x': [1, 2], 'x#2': [10, 20], 'x#3': [100, 200]}),
+    ('LabVIEW Measurement\t\n***End_of_Header***\t\n\nChannels\t1\t\nX0\t0,0\t\n'
+     '***End_of_Header***\t\t\nX_Value\tPos\tComment\n0,000\t1,5\t\n0,001\t2,5\t\n',
+     {'X_Value': [0.0, 0.001], 'Pos': [1.5, 2.5]}),
+    ('t,x\n0,1\n1,2\n# event: valve opened\n2,3\n3,4\n', {'x': [1, 2, 3, 4]}),
+    ('Time,101,102\n0,1,2\n1,2,3\n', {'101': [1, 2], '102': [2, 3]}),
+    ('t x\n0,001 1,5\n0,002 2,5\n', {'t': [0.001, 0.002], 'x': [1.5, 2.5]})])
+def test_values_stay_in_their_rows_and_columns(
+        tmp_path: Path, content: str, expected: dict[str, list[float]]) -> None:
+    found = read(tmp_path, content)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def test_no_first_row_of_missing_values_is_lost(tmp_path: Path) -> None:
+    found = read(tmp_path, '0,NA,NA\n1,NA,NA\n2,1.5,2.5\n', ['t', 'a', 'b'])
+    assert found['t'] == [0.0, 1.0, 2.0]
+    assert read(tmp_path, 't,x\n0,OVERLOAD\n1,2\n2,3\n')['t'] == [0.0, 1.0, 2.0]
+
+
+def test_a_row_that_is_cut_off_at_the_end_is_left_out_with_a_remark(tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match="its last row, '2,3', is cut off"):
+        assert read(tmp_path, 't,x,f\n0,1,2\n1,2,3\n2,3')['t'] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(('mark', 'quote'), [(',', '"'), (';', ''), (' ', '"')])
+def test_names_of_rows_without_a_name_in_the_header(tmp_path: Path, mark: str, quote: str) -> None:
+    content = 't,x,note\n' + ''.join(f'{quote}{k}{quote},{0.1 * k},{k + 4},ok\n'
+                                     for k in range(1, 9))
+    with pytest.warns(InputWarning, match='has 3 names, its rows have 4 cells'):
+        found = read(tmp_path, content.replace(',', mark))
+    assert found['t'][:2] == [0.1, 0.2] and found['x'][:2] == [5.0, 6.0]
+
+
+@pytest.mark.parametrize(('cells', 'expected'), [
+    ('998 999 1,000', None), ('998.5 999.5 1,000', None), ('998.5 999.5 1,5', None),
+    ('1,000.5 2 3', None), ('1,000,000 2 3', None),
+    ('1,5 2 3', [1.5, 2.0, 3.0]), ('0,998 1 1,002', [0.998, 1.0, 1.002]),
+    ('-1,25e3 NA 0', [-1250.0, NAN, 0.0]), ('-19,5m 2,5 3', '-19.5m')])
+def test_commas_that_may_separate_thousands_stay_as_they_are_written(
+        tmp_path: Path, cells: str, expected: list[float] | str | None) -> None:
+    each = cells.split()
+    content = 't;f\n' + ''.join(f'{k};{cell}\n' for k, cell in enumerate(each))
+    with warnings.catch_warnings():
+        warnings.simplefilter('error', InputWarning)
+        found = read(tmp_path, content)['f']
+    if isinstance(expected, list):
+        np.testing.assert_array_equal(found, expected)
+    else:
+        assert found == each if expected is None else found[0] == expected
+
+
+def test_commas_before_three_digits_alone_are_decimal_with_a_remark(tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match='column f: 1,000 is read as 1.000, with a decimal comm'):
+        assert read(tmp_path, 't\tf\n0\t1,000\n1\t1,250\n')['f'] == [1.0, 1.25]
