@@ -13,8 +13,8 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.table_file import Table
-from asi_analysis.bags.exchange.text_file import MISSING, SI_NUMBER, SI_PREFIX
-from asi_analysis.bags.exchange.units import conversion
+from asi_analysis.bags.exchange.text_file import SI_NUMBER, SI_PREFIX
+from asi_analysis.bags.exchange.units import MISSING, conversion
 from asi_analysis.bags.run import SIGNALS
 from asi_analysis.errors import InputError, InputWarning
 
@@ -120,7 +120,7 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         if mapping.unit != 's' or scale != 1.0:
             raise InputError(f'{path}: {mapping.text!r}: {term} holds dates or durations, which '
                              'have their unit: leave scale and unit out')
-        return seconds, DATE
+        return seconds + offset, DATE
     values = numbers_of(term, table[term], path)
     if span:
         values = (values + 0.5 * span) % span - 0.5 * span

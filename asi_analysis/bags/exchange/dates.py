@@ -1,7 +1,8 @@
 """Convert columns of dates or times of day to seconds since the first."""
 
 import re
-from collections.abc import Iterator
+import warnings
+from datetime import date
 from pathlib import Path
 from typing import Final
 
@@ -9,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.arrays import Array
-from asi_analysis.errors import InputError
+from asi_analysis.bags.exchange.units import MISSING
+from asi_analysis.errors import InputError, InputWarning
 
-_CLOCK: Final = (r'(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?'
+# Without a date, the hours of a duration may exceed a day.
+_CLOCK: Final = (r'(?P<hour>\d{1,3}):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?'
                  r'(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?(?P<zone>Z|[+-]\d\d:?\d\d)?')
 _DAY: Final = (r'(?:(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)'
                r'|(?P<first>\d\d?)(?P<mark>[./-])(?P<second_>\d\d?)(?P=mark)(?P<last>\d{4}))')
@@ -22,52 +25,69 @@ def since_first(name: str, column: npt.NDArray, path: Path) -> Array | None:
     """
     Return the seconds since the first of a column of durations, dates with time, or times of day.
 
-    None if it is none of these. Raises InputError where a date can be read in two ways.
+    None if it is none of these. Raises InputError where a date can be read in two ways, or does
+    not exist.
     """
-    if np.issubdtype(column.dtype, np.timedelta64) or np.issubdtype(column.dtype, np.datetime64):
+    if not holds_moments(column):
+        return None
+    if column.dtype.kind in 'mM':
         known = column[~np.isnat(column)]
         return (column - known[0]) / np.timedelta64(1, 's') if len(known) else None
-    if np.issubdtype(column.dtype, np.number) or not len(column):
-        return None
-    if not _MOMENT.fullmatch(str(column[0]).strip()):
-        return None
-    days: set[tuple[int, int]] = set()      # day and month in the order of the text, year last
-    zones: set[str] = set()
-    for each in _moments(column):
-        if each is not None:
-            zones.add(each['zone'] or 'Z')
-            if each['first']:
-                days.add((int(each['first']), int(each['second_'])))
-    if len(zones) > 1:
-        raise InputError(f'{path}: column {name} has times of several zones: '
-                         + ', '.join(sorted(zones)))
-    # 3.4.2020 is the third of April; 3/4/2020 is ambiguous unless one number exceeds 12.
-    first, second = (max((pair[k] for pair in days), default=13) for k in (0, 1))
-    dotted = '.' in str(column[0]).partition(':')[0]
-    if not dotted and first <= 12 and second <= 12 and len(days) > 1:
-        raise InputError(f'{path}: column {name}: {str(column[0])!r} can be read with the day or '
-                         'the month first: write dates as YYYY-MM-DD')
-    month_first = not dotted and first <= 12
-    times = np.full(len(column), 'NaT', 'datetime64[ns]')
-    for row, each in enumerate(_moments(column)):
-        if each is not None:
-            times[row] = np.datetime64(_iso(each, month_first))
-    return (times - times[0]) / np.timedelta64(1, 's')
+    cells = [str(cell).strip() for cell in column]
+    found = [_MOMENT.fullmatch(cell) for cell in cells]
+    month_first = _month_first([each for each in found if each], name, path)
+    times = np.full(len(column), np.nan)
+    first: int | None = None
+    for row, each in enumerate(found):
+        if each is None:
+            continue
+        try:
+            time_ns = _nanoseconds(each, month_first)
+        except ValueError:
+            raise InputError(f'{path}: column {name}, row {row + 1}: there is no date or time '
+                             f'{cells[row]!r}') from None
+        first = time_ns if first is None else first
+        times[row] = (time_ns - first) / 1e9
+    return times
+
+
+def holds_moments(column: npt.NDArray) -> bool:
+    """Return whether a column has dates, times of day or durations: its first cell tells."""
+    if column.dtype.kind in 'mM' or np.issubdtype(column.dtype, np.number):
+        return column.dtype.kind in 'mM'
+    cells = (str(cell).strip() for cell in column)
+    return is_moment(next((cell for cell in cells if cell.lower() not in MISSING), ''))
 
 
 def is_moment(cell: str) -> bool:
     """Return whether a text is a date with time, or a time of day."""
-    return ':' in cell and _MOMENT.fullmatch(cell.lstrip('-')) is not None
+    return ':' in cell and _MOMENT.fullmatch(cell) is not None
 
 
-def _moments(column: npt.NDArray) -> Iterator[re.Match[str] | None]:
-    return (_MOMENT.fullmatch(str(cell).strip()) for cell in column)
+def _month_first(moments: list[re.Match[str]], name: str, path: Path) -> bool:
+    """Return whether dates have the month first. Raises InputError if that is open."""
+    zones = {each['zone'] or 'Z' for each in moments}
+    if len(zones) > 1:
+        raise InputError(f'{path}: column {name} has times of several zones: '
+                         + ', '.join(sorted(zones)))
+    short = (each[0] for each in moments if not (each['second'] or each['year'] or each['last']))
+    if cell := next(short, ''):
+        warnings.warn(f'{path}: column {name}: {cell!r} is read as hours and minutes',
+                      InputWarning, stacklevel=3)
+    # 3.4.2020 is the third of April; 3/4/2020 is ambiguous unless one number exceeds 12.
+    days = {(int(each['first']), int(each['second_'])) for each in moments if each['first']}
+    first, second = (max((pair[k] for pair in days), default=13) for k in (0, 1))
+    dotted = bool(moments) and moments[0]['mark'] == '.'
+    if not dotted and first <= 12 and second <= 12 and len(days) > 1:
+        raise InputError(f'{path}: column {name}: {moments[0][0]!r} can be read with the day or '
+                         'the month first: write dates as YYYY-MM-DD')
+    return not dotted and first <= 12
 
 
-def _iso(moment: re.Match[str], month_first: bool) -> str:
-    """Return a moment as ISO 8601."""
+def _nanoseconds(moment: re.Match[str], month_first: bool) -> int:
+    """Return a moment in ns, since an arbitrary day. Raises ValueError if there is none such."""
     part = moment.groupdict()
-    hour = int(part['hour'])
+    hour, minute, second = (int(part[each] or 0) for each in ('hour', 'minute', 'second'))
     if part['half']:
         hour = hour % 12 + (12 if part['half'] in 'Pp' else 0)
     year, month, day = part['year'] or part['last'], part['month'], part['day']
@@ -75,6 +95,8 @@ def _iso(moment: re.Match[str], month_first: bool) -> str:
         day, month = part['first'], part['second_']
         if month_first:
             month, day = day, month
-    # A time of day without a date gets an arbitrary one.
-    date = f'{year}-{int(month):02}-{int(day):02}' if year else '1970-01-01'
-    return f'{date}T{hour:02}:{part["minute"]}:{part["second"] or "00"}.{part["part"] or "0"}'
+    if minute > 59 or second > 59 or (year and hour > 23):
+        raise ValueError
+    days = date(int(year), int(month), int(day)).toordinal() if year else 0
+    whole = ((days * 24 + hour) * 60 + minute) * 60 + second
+    return whole * 10 ** 9 + int((part['part'] or '')[:9].ljust(9, '0'))

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.column_mapping import (
@@ -15,6 +16,7 @@ from asi_analysis.bags.exchange.column_mapping import (
     listed,
     parse_mapping,
 )
+from asi_analysis.bags.exchange.dates import holds_moments
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -89,16 +91,20 @@ def _times(files: list[_File]) -> list[Array]:
             raise InputError(f'{file.path}: {len(own)} columns are mapped to time, expected one: '
                              f'time=COLUMN, or time={file.path.stem}/COLUMN for this file alone')
         mapped.append(own[0])
-    columns = [file.table[column_of(each, file.table) or ''] for file, each in
-               zip(files, mapped, strict=True)]
-    if all(np.issubdtype(column.dtype, np.number) for column in columns):
+    names = [column_of(each, file.table) or '' for file, each in zip(files, mapped, strict=True)]
+    columns = [file.table[name] for file, name in zip(files, names, strict=True)]
+    dated = [holds_moments(column) for column in columns]
+    if any(dated) and not all(dated):
+        raise InputError(f'{files[dated.index(False)].path}: its time is a number, that of '
+                         f'{files[dated.index(True)].path} a date: they are not of one clock')
+    if any(dated):      # dates are read together: their seconds are since the first of all
+        together, path = _together(columns), Path(' and '.join(str(file.path) for file in files))
+        ends = np.cumsum([len(column) for column in columns])
+        times = [evaluate(each, {name: together}, path)[0][end - len(column):end]
+                 for each, name, column, end in zip(mapped, names, columns, ends, strict=True)]
+    else:
         times = [evaluate(each, file.table, file.path)[0]
                  for file, each in zip(files, mapped, strict=True)]
-    else:   # dates are read together: their seconds are since the first of all
-        name = column_of(mapped[0], files[0].table) or ''
-        together = {name: np.concatenate([column.astype(object) for column in columns])}
-        seconds, _ = evaluate(mapped[0], together, files[0].path)
-        times = np.split(seconds, np.cumsum([len(column) for column in columns])[:-1])
     for file, time_s in zip(files, times, strict=True):
         known = time_s[np.isfinite(time_s)]
         if len(known) < 2 or (np.diff(known) < 0.0).any():
@@ -110,6 +116,16 @@ def _times(files: list[_File]) -> list[Array]:
                 f'those of {files[0].path}, {first[0]:.6g} to {first[-1]:.6g} s: are they of one '
                 'clock? An offset is part of the mapping, as time=t+3.2')
     return times
+
+
+def _together(columns: list[npt.NDArray]) -> npt.NDArray:
+    """Return columns of dates as one; of texts and dates of a Parquet file as texts."""
+    kinds = {column.dtype.kind for column in columns}
+    if kinds in ({'m'}, {'M'}):
+        return np.concatenate(columns)
+    return np.concatenate([
+        (np.datetime_as_string(column) if column.dtype.kind == 'M' else column).astype(object)
+        for column in columns])
 
 
 def _held(file: _File, time_s: Array, values: Array, base: Array) -> Array:

@@ -17,15 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.dates import is_moment
-from asi_analysis.bags.exchange.units import UNITS
+from asi_analysis.bags.exchange.units import MISSING, UNITS
 from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError, InputWarning
 
 COMMENT: Final = ('#', '%')
-# What stands for a missing value; those with # are the errors of Excel.
-MISSING: Final = frozenset((
-    '', 'na', 'n/a', 'null', 'none', '-', 'nan', '#n/a', '#div/0!', '#num!', '#value!', '#ref!',
-    '#name?', '#null!', '#spill!', '#calc!', '#getting_data'))
 # Lines at the start of a file in which delimiter, header and first row of data are looked for, and
 # how many of them show what is usual.
 HEAD_LINES: Final = 1000

@@ -1,10 +1,14 @@
-"""Units of imported recordings, and their conversion to SI."""
+"""Units of imported recordings, their conversion to SI, and what stands for no value."""
 
 import functools
 import math
 import re
 from typing import Final
 
+# What stands for a missing value; those with # are the errors of Excel.
+MISSING: Final = frozenset((
+    '', 'na', 'n/a', 'null', 'none', '-', 'nan', '#n/a', '#div/0!', '#num!', '#value!', '#ref!',
+    '#name?', '#null!', '#spill!', '#calc!', '#getting_data'))
 # unit → SI unit, factor
 UNITS: Final = {
     's': ('s', 1.0), 'ms': ('s', 1e-3), 'us': ('s', 1e-6), 'ns': ('s', 1e-9),

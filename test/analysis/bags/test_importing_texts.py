@@ -1,11 +1,16 @@
 """Texts of other programs are read as meant, or refused; no value is shifted or scaled."""
 
+import re
 import warnings
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow.parquet import write_table
 
+from asi_analysis.bags.exchange.dates import since_first
+from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.exchange.table_file import read_table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -100,3 +105,57 @@ def test_commas_that_may_separate_thousands_stay_as_they_are_written(
 def test_commas_before_three_digits_alone_are_decimal_with_a_remark(tmp_path: Path) -> None:
     with pytest.warns(InputWarning, match='column f: 1,000 is read as 1.000, with a decimal comm'):
         assert read(tmp_path, 't\tf\n0\t1,000\n1\t1,250\n')['f'] == [1.0, 1.25]
+
+
+@pytest.mark.parametrize(('cells', 'expected'), [
+    (['23:59:59', '24:00:00', '100:00:01.5'], [0.0, 1.0, 273_602.5]),
+    (['NA', '10:00:01', '10:00:02'], [NAN, 0.0, 1.0]),
+    (['2020-12-31T10:00:00.123456789012', '2020-12-31T10:00:01.2'], [0.0, 1.076543211]),
+    (['23:59:58', '23:59:60'], "row 2: there is no date or time '23:59:60'"),
+    (['31.01.2020 10:00:00', '31.02.2020 10:00:00'], "row 2: .*'31.02.2020 10:00:00'"),
+    (['1.4.2020 10:00', '4.13.2020 10:00'], "row 2: .*'4.13.2020 10:00'"),
+    (['2020-01-01 23:59:59', '2020-01-01 24:00:00'], 'row 2: there is no')])
+def test_dates_that_do_not_exist_are_refused_and_durations_may_exceed_a_day(
+        tmp_path: Path, cells: list[str], expected: list[float] | str) -> None:
+    column = np.array(cells, object)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=f'a.csv: column t, {expected}'):
+            since_first('t', column, Path('a.csv'))
+    else:
+        np.testing.assert_allclose(since_first('t', column, Path('a.csv')), expected, rtol=1e-12)
+
+
+def test_hours_and_minutes_are_told_from_minutes_and_seconds() -> None:
+    with pytest.warns(InputWarning, match="'1:00' is read as hours and minutes"):
+        since_first('t', np.array(['1:00', '1:01'], object), Path('a.csv'))
+
+
+@pytest.mark.parametrize(('state', 'command', 'term', 'begin'), [
+    ('2024-01-01 10:00:0{k}', '2024-01-01 10:00:0{k}', 't+3', 3.0),
+    ('2024-01-01 10:00:0{k}', '2024-01-01 10:00:0{k}', 't-0.5', -0.5),
+    ('{k}000m', '{k}000', 't+2000[ms]', 2.0), ('{k}000m', '{k}000m', 't+2', 2.0)])
+def test_each_of_several_files_has_its_own_unit_and_offset(
+        tmp_path: Path, state: str, command: str, term: str, begin: float) -> None:
+    for name, column, text in (('state', 'x', state), ('command', 'u', command)):
+        (tmp_path / f'{name}.csv').write_text(f't,{column}\n' + ''.join(
+            f'{text.format(k=k)},{k}\n' for k in range(9)))
+    with pytest.warns(InputWarning, match=re.escape(f'begins {begin:+g} s after')):
+        import_recording([tmp_path / 'state.csv', tmp_path / 'command.csv'], [
+            'time=state/t', f'time=command/{term}', 'position=x[m]', 'command=u[N]'])
+
+
+def test_dates_of_two_parquet_files_and_of_a_text_are_of_one_clock(tmp_path: Path) -> None:
+    for name, column, first in (('a', 'x', 0), ('b', 'u', 2)):
+        times = np.datetime64('2024-05-01T10:00:00', 'ns') + np.arange(
+            first, first + 9) * np.timedelta64(1, 's')
+        write_table(pa.table({'t': times, column: np.arange(9.0)}), tmp_path / f'{name}.parquet')
+    (tmp_path / 'c.csv').write_text('t,u\n' + ''.join(
+        f'2024-05-01 10:00:0{k},{k}\n' for k in range(2, 9)))
+    for other in ('b.parquet', 'c.csv'):
+        with pytest.warns(InputWarning, match=r'begins \+2 s after'):
+            import_recording([tmp_path / 'a.parquet', tmp_path / other],
+                             ['time=t', 'position=x[m]', 'command=u[N]'])
+    (tmp_path / 'd.csv').write_text('t,u\n0,1\n1,2\n')
+    with pytest.raises(InputError, match='d.csv: its time is a number, that of .*quet a date'):
+        import_recording([tmp_path / 'a.parquet', tmp_path / 'd.csv'],
+                         ['time=t', 'position=x[m]', 'command=u[N]'])
