@@ -14,7 +14,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.table_file import Table
 from asi_analysis.bags.exchange.text_file import SI_NUMBER, SI_PREFIX
-from asi_analysis.bags.exchange.units import MISSING, conversion
+from asi_analysis.bags.exchange.units import BRACKETS, MISSING, conversion, unit_in
 from asi_analysis.bags.run import SIGNALS
 from asi_analysis.errors import InputError, InputWarning
 
@@ -24,6 +24,7 @@ UNITS_OF: Final = {'time': ('s',), **{signal.name: (signal.unit,) for signal in 
                 'position': ('m', 'rad'), 'velocity': ('m/s', 'rad/s'), 'force': ('N', 'Nm'),
                 'command': ('N', 'Nm', 'V', 'A', 'Pa', '1'),
                 'reference': ('N', 'm', 'm/s', 'Nm', 'rad', 'rad/s', 'Pa')}
+STATED: Final = re.compile(r'(.+) \[[^\[\]]+\]')
 MOST_LISTED: Final = 40     # columns named in a message
 _UNSIGNED: Final = r'(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?'
 _NUMBER: Final = rf'[+-]?{_UNSIGNED}'
@@ -38,7 +39,7 @@ LEAST_WRAPPED: Final = 5    # samples near 0 and near the end of the range
 
 
 class Assignment(NamedTuple):
-    """One mapping: signal = (column * scale + offset) in a unit."""
+    """One mapping: signal = (column * scale + offset) in a unit, '' if it has none."""
 
     text: str
     signal: str
@@ -68,7 +69,7 @@ def parse_mapping(text: str) -> Assignment:
                     'position=counts*0.088[deg]')
             raise InputError(f'{text!r}: {signal} takes {", ".join(UNITS_OF[signal])} and their '
                              f'multiples, not {unit!r}; {hint}')
-    return Assignment(text, signal, term, unit or UNITS_OF[signal][0])
+    return Assignment(text, signal, term, unit)
 
 
 def listed(names: Iterable[str]) -> str:
@@ -90,10 +91,13 @@ def column_of(mapping: Assignment, table: Table) -> str | None:
     whole = mapping.text.partition('=')[2].strip()
     # The header may contain the unit: `torque [Nm]`.
     term = whole if whole in table else mapping.term
-    if term in table:
-        return term
     column = column_part(mapping)
-    return column if column in table else None
+    found = next((each for each in (term, column) if each in table), None)
+    if found is None:   # a line of units below the header is part of the name: `torque [Nm]`
+        stated = [name for name in table if (each := STATED.fullmatch(name)) and (
+            each[1] in (term, column))]
+        found = stated[0] if len(stated) == 1 else None
+    return found
 
 
 def column_part(mapping: Assignment) -> str:
@@ -114,10 +118,9 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
         span = 0.0 if found['scale'] in table else SIGNED.get(found['scale'] or '', 0.0)
         scale = 1.0 if span else _scale(found['scale'], table, mapping, path)
         offset = float(found['offset'] or 0.0)
-    unit, factor = conversion(mapping.unit) or ('', 1.0)
     if mapping.signal == 'time' and (
             seconds := since_first(term, table[term], path)) is not None:
-        if mapping.unit != 's' or scale != 1.0:
+        if mapping.unit not in ('', 's') or scale != 1.0:
             raise InputError(f'{path}: {mapping.text!r}: {term} holds dates or durations, which '
                              'have their unit: leave scale and unit out')
         return seconds + offset, DATE
@@ -129,9 +132,36 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
                       f', and none between: it looks like a signed number that was read as an '
                       f'unsigned one; if so, map {mapping.signal}={term}*{kind}', InputWarning,
                       stacklevel=2)
-    if scale != 1.0 or offset != 0.0:
+    scaled = scale != 1.0 or offset != 0.0
+    if scaled:
         values = values * scale + offset
+    unit, factor = conversion(mapping.unit or _stated(mapping, term, scaled, path)) or ('', 1.0)
     return (values if factor == 1.0 else values * factor), unit
+
+
+def _stated(mapping: Assignment, column: str, scaled: bool, path: Path) -> str:
+    """
+    Return the unit of a mapping without one: that in brackets in the name of the column.
+
+    Otherwise, and after a scale or an offset, it is the SI unit. Warns unless that is the unit
+    in the name, too.
+    """
+    unit, si = unit_in(column), UNITS_OF[mapping.signal][0]
+    found = conversion(unit)
+    if found is None or found == (si, 1.0) or unit.isdigit():
+        return si
+    fits = found[0] in UNITS_OF[mapping.signal]
+    bracketed = BRACKETS.search(column) is not None
+    if bracketed and fits and not scaled:
+        warnings.warn(f'{path}: {mapping.text!r} is read in {unit}, which the column {column!r} '
+                      f'states: write {mapping.text}[{unit}]', InputWarning, stacklevel=3)
+        return unit
+    if fits if scaled else fits or bracketed:
+        write = f'; if it is in {unit}, write {mapping.text}[{unit}]' if fits else ''
+        warnings.warn(f'{path}: {mapping.text!r} has no unit and is taken in {si}, though the '
+                      f'name of the column {column!r} suggests {unit}{write}', InputWarning,
+                      stacklevel=3)
+    return si
 
 
 def wrapped(values: Array) -> str:

@@ -26,6 +26,7 @@ from asi_analysis.bags.exchange.lerobot import is_dataset, refuse_episode, refus
 from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
+from asi_analysis.bags.exchange.units import unit_in
 from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError, InputWarning, input_warnings
@@ -249,7 +250,8 @@ def _check_reference(signals: Signals, texts: Sequence[str], path: Path) -> None
     """Raise InputError for a reference without a unit that need not be a force."""
     text = next((each for each in texts if each.partition('=')[0].strip() == 'reference'), '')
     others = [name for name in ('position', 'velocity', 'pressure') if name in signals]
-    if text and not text.rstrip().endswith(']') and others and 'force' not in signals:
+    if text and not text.rstrip().endswith(']') and others and 'force' not in signals and (
+            signals['reference'][1] == 'N'):    # the column states no other unit
         unit = signals[others[0]][1]
         raise InputError(f'{path}: {text!r} has no unit, and would be a force in N, which is not '
                          f'mapped: write {text}[{unit}] if it is that of the {others[0]}')
@@ -261,7 +263,7 @@ def _check_turning(signals: Signals, texts: Sequence[str], path: Path) -> None:
     for text in texts:
         name = text.partition('=')[0].strip()
         if turning and name in ('position', 'velocity') and name in signals and (
-                signals[name][1] in ('m', 'm/s') and not text.rstrip().endswith(']')):
+                signals[name][1] in ('m', 'm/s') and not unit_in(text)):
             unit = {'m': 'rad', 'm/s': 'rad/s'}[signals[name][1]]
             warnings.warn(f'{path}: {text!r} has no unit and is taken in {signals[name][1]}, '
                           f'beside {signals[turning[0]][1]} of the {turning[0]}: write '

@@ -21,7 +21,7 @@ def joints_of(mapping: Sequence[str], table: Table, path: Path) -> dict[str, lis
     held: dict[str, list[str]] = {}
     for text in (text for text in mapping if JOINT in text):
         first, *rest = map(re.escape, column_part(parse_mapping(text)).split(JOINT))
-        name = f'{first}(.+)' + r'\1'.join(rest)
+        name = f'{first}(.+?)' + r'\1'.join(rest) + r'(?: \[[^\[\]]*\])?'   # q_hip [deg]
         held[text] = [found[1] for column in table if (found := re.fullmatch(name, column))]
     names = [name for name in next(iter(held.values()), [])
              if all(name in each for each in held.values())]

@@ -17,7 +17,7 @@ from asi_analysis.bags.exchange.lerobot import is_dataset, notes_of, refuse_epis
 from asi_analysis.bags.exchange.ros1_bag import opened
 from asi_analysis.bags.exchange.several_files import GAP
 from asi_analysis.bags.exchange.table_file import Table, read_table
-from asi_analysis.bags.exchange.units import UNITS, conversion
+from asi_analysis.bags.exchange.units import BRACKETS, UNITS, conversion, unit_in
 from asi_analysis.bags.run import usual_step
 from asi_analysis.errors import InputError
 from asi_analysis.reporting.result import Result, table_of
@@ -42,10 +42,7 @@ ASSUMED: Final = {'time': 's', 'reference': '', 'command': 'N', 'force': 'N', 'v
 OUTPUTS: Final = ('position', 'velocity', 'pressure', 'force')
 # Name of the joint positions in a LeRobot dataset, unless the names of the joints say otherwise.
 STATE: Final = 'observation.state'
-# Units that are the whole name of a column.
-WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
-# What stands in brackets after a name, and is a unit unless it is one of these words.
-BRACKETS: Final = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$')
+# Words in brackets after a name that are no units.
 REMARKS: Final = frozenset('measured actual filtered meas act raw est estimated calc true left '
                            'right desired joint motor load axis'.split())
 # Words that suggest a rotary joint.
@@ -163,33 +160,16 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.split(r'[^A-Za-z]+', apart) if word]
 
 
-def _unit(name: str) -> str:
-    """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' without one."""
-    found = BRACKETS.search(name)
-    candidates = [found[1]] if found else []
-    head, _, last = name.replace(' ', '_').rpartition('_')
-    candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
-    candidates += [last] if head or last in WHOLE else []
-    candidates += [last] if (last := name.rpartition('.')[2]) in WHOLE else []
-    by_case = {unit.lower(): unit for unit in UNITS}
-    for each in candidates:
-        if each in UNITS or (found and conversion(each)):
-            return each
-        if each.lower() in by_case and not each.isdigit():
-            return by_case[each.lower()]
-    return ''
-
-
 def _unknown_unit(name: str) -> str:
     """Return the unit that stands in brackets after a name, if no signal can have it."""
     found = BRACKETS.search(name)
-    unknown = found is not None and not _unit(name) and not REMARKS & set(_words(found[1]))
+    unknown = found is not None and not unit_in(name) and not REMARKS & set(_words(found[1]))
     return found[1] if found and unknown and re.search(r'[^\W\d]', found[1]) else ''
 
 
 def _guess(name: str) -> _Guess | None:
     """Return a guess of the signal in a column, from its name; None without one."""
-    unit = _unit(name)
+    unit = unit_in(name)
     if _unknown_unit(name):
         return None
     if name.startswith('/'):
@@ -297,7 +277,7 @@ def _chosen(guesses: dict[str, _Guess | None], notes: list[str], time: str | Non
             named = [each for each in OUTPUTS if WORDS[each] & set(_words(name))] or OUTPUTS
             unit = next((chosen[other].unit or ASSUMED[chosen[other].signal] for other in chosen
                          if chosen[other].signal in named), unit or 'N')
-        share = conversion(_unit(name)) == ('1', 0.01)
+        share = conversion(unit_in(name)) == ('1', 0.01)
         notes.append(f'{name} is in %, which no {guess.signal} has: {unit} stands for it' if share
                      else f'{name} has no unit: {unit} is assumed')
         chosen[name] = guess._replace(unit=unit)

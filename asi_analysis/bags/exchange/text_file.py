@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.dates import is_moment
-from asi_analysis.bags.exchange.units import MISSING, UNITS
+from asi_analysis.bags.exchange.units import BRACKETS, MISSING, UNITS, conversion
 from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError, InputWarning
 
@@ -429,25 +429,46 @@ def _first_of_data(rows: list[list[str]], form: _Form) -> int:
     return first
 
 
+def _fits(names: list[str], form: _Form) -> bool:
+    """Return whether names may be those of the columns."""
+    lacking = form.width - len(names)
+    return not all(name.lower() in MISSING for name in names) and (
+        lacking in (0, int(form.row_names)) or (form.delimiter != ' ' and abs(lacking) == 1))
+
+
+def _are_units(names: list[str], least: float) -> bool:
+    """Return whether names are units, at least this share of them known ones."""
+    named = [name for name in names if name not in ('', '-')]
+    known = [name[0] in '[(' or name in UNITS or (least < 1.0 and conversion(name) is not None)
+             for name in named]
+    return sum(known) >= least * len(known)
+
+
 def _header(before: list[str], form: _Form, path: Path) -> list[str]:
     """
     Return the names of the columns: the last line before the data that can be a header.
 
-    A line of units is no header. With blanks as delimiter, names may not contain blanks.
+    The units of a line below it are added, as in `pos [mm]`. With blanks as delimiter, names may
+    not contain blanks.
     """
-    for line in reversed(before):
-        names = _cells(line.lstrip('#% '), form.delimiter)
-        units = all(name in UNITS or name[:1] in ('', '[', '(') for name in names)
-        if units or all(name.lower() in MISSING for name in names):
-            continue
-        if form.row_names and len(names) == form.width - 1:
-            warnings.warn(f'{path}: its header has {len(names)} names, its rows have {form.width} '
-                          'cells: the first cells are read as names of the rows, in column #1',
-                          InputWarning, stacklevel=2)
-            return ['#1', *names]
-        if abs(len(names) - form.width) <= (form.delimiter != ' '):
-            return names
-    return [f'#{number}' for number in range(1, form.width + 1)]
+    lines = [_cells(line.lstrip('#% '), form.delimiter) for line in reversed(before)]
+    lines = [line for line in lines if _fits(line, form)]
+    units: list[str] = []
+    if lines and (_are_units(lines[0], 1.0) or (
+            len(lines) > 1 and all(lines[1]) and not any(map(is_number, lines[1]))
+            and _are_units(lines[0], 0.5))):
+        units = lines.pop(0)
+    names = next((line for line in lines if not _are_units(line, 1.0)), [])
+    if names and form.row_names and len(names) == form.width - 1:
+        warnings.warn(f'{path}: its header has {len(names)} names, its rows have {form.width} '
+                      'cells: the first cells are read as names of the rows, in column #1',
+                      InputWarning, stacklevel=2)
+        names, units = ['#1', *names], ['', *units]
+    names = names or [f'#{number}' for number in range(1, form.width + 1)]
+    stated = [unit.strip('[]() ') for unit in units[:len(names)]]
+    stated += [''] * (len(names) - len(stated))
+    return [name if unit.lower() in MISSING or BRACKETS.search(name) else f'{name} [{unit}]'
+            for name, unit in zip(names, stated, strict=True)]
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

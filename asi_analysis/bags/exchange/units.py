@@ -29,6 +29,10 @@ UNITS: Final = {
     'Pa': ('Pa', 1.0), 'kPa': ('Pa', 1e3), 'MPa': ('Pa', 1e6), 'bar': ('Pa', 1e5),
     'psi': ('Pa', 6894.757293168361),
     '1': ('1', 1.0), '%': ('1', 1e-2)}
+# Units that are the whole name of a column.
+WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
+# What stands in brackets after a name.
+BRACKETS: Final = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$')
 # SI unit → its name in pint. Angles have no dimension in pint: UNITS lists all of theirs.
 _PINT: Final = {'s': 's', 'N': 'N', 'm': 'm', 'm/s': 'm/s', 'Nm': 'N*m', 'V': 'V', 'A': 'A',
                 'Pa': 'Pa'}
@@ -57,3 +61,20 @@ def conversion(unit: str) -> tuple[str, float] | None:
                      and 0.0 < (factor := float(quantity.to(name).magnitude)) < math.inf), None)
     except Exception:  # noqa: B902 - pint raises anything for a text that is no unit
         return None
+
+
+def unit_in(name: str) -> str:
+    """Return the unit in a name, as in force [kN], force (kN) or force_kN; '' without one."""
+    found = BRACKETS.search(name)
+    candidates = [found[1]] if found else []
+    head, _, last = name.replace(' ', '_').rpartition('_')
+    candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
+    candidates += [last] if head or last in WHOLE else []
+    candidates += [last] if (last := name.rpartition('.')[2]) in WHOLE else []
+    by_case = {unit.lower(): unit for unit in UNITS}
+    for each in candidates:
+        if each in UNITS or (found and conversion(each)):
+            return each
+        if each.lower() in by_case and not each.isdigit():
+            return by_case[each.lower()]
+    return ''

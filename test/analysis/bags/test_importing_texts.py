@@ -10,7 +10,8 @@ import pytest
 from pyarrow.parquet import write_table
 
 from asi_analysis.bags.exchange.dates import since_first
-from asi_analysis.bags.exchange.importing import import_recording
+from asi_analysis.bags.exchange.importing import import_joints, import_recording
+from asi_analysis.bags.exchange.preview import preview
 from asi_analysis.bags.exchange.table_file import read_table
 from asi_analysis.errors import InputError, InputWarning
 
@@ -159,3 +160,54 @@ def test_dates_of_two_parquet_files_and_of_a_text_are_of_one_clock(tmp_path: Pat
     with pytest.raises(InputError, match='d.csv: its time is a number, that of .*quet a date'):
         import_recording([tmp_path / 'a.parquet', tmp_path / 'd.csv'],
                          ['time=t', 'position=x[m]', 'command=u[N]'])
+
+
+@pytest.mark.parametrize(('content', 'names'), [
+    ('t,pos,force\nms,mm,kN\n0,1,5\n1,2,6\n', ['t [ms]', 'pos [mm]', 'force [kN]']),
+    ('t;pos;flow\ns;mm;l/min\n0;1;5\n1;2;6\n', ['t [s]', 'pos [mm]', 'flow [l/min]']),
+    ('%t,pos (raw),x [m]\n%[s],[mm],[m]\n0,1,5\n1,2,6\n', ['t [s]', 'pos (raw)', 'x [m]']),
+    ('t\tpos\tn\ns\tmm\t-\n0\t1\t5\n1\t2\t6\n', ['t [s]', 'pos [mm]', 'n']),
+    ('t x\n[s] [mm]\n0 1\n1 2\n', ['t [s]', 'x [mm]']),
+    ('deg,rpm,current\n0,1,5\n1,2,6\n', ['deg', 'rpm', 'current']),
+    ('s,mm\n0,1\n1,2\n', ['#1 [s]', '#2 [mm]'])])
+def test_a_line_of_units_is_the_unit_of_each_column(
+        tmp_path: Path, content: str, names: list[str]) -> None:
+    assert list(read(tmp_path, content)) == names
+
+
+UNIT_LINE = 't,pos,q\nms,mm,%\n0,1,5\n1,2,6\n'
+NAMES = 't (ms),pos (mm),volts (V),pos_mm,x_raw\n0,1,5,1,7\n1,2,6,2,8\n'
+
+
+@pytest.mark.parametrize(('content', 'term', 'value', 'remark'), [
+    (UNIT_LINE, 'position=pos', 0.001, "is read in mm, which the column 'pos [mm]' states"),
+    (UNIT_LINE, 'position=pos[mm]', 0.001, ''), (UNIT_LINE, 'position=pos [mm]', 0.001, ''),
+    (UNIT_LINE, 'position=pos*2[mm]', 0.002, ''), (UNIT_LINE, 'position=pos[m]', 1.0, ''),
+    (UNIT_LINE, 'command=q', 0.05, 'is read in %'),
+    (UNIT_LINE, 'position=pos*0.001', 0.001, 'taken in m, though the name'),
+    (NAMES, 'position=pos (mm)', 0.001, "is read in mm, which the column 'pos (mm)' states"),
+    (NAMES, 'reference=pos (mm)', 0.001, 'is read in mm'),
+    (NAMES, 'force=volts (V)*250', 1250.0, ''),
+    (NAMES, 'force=volts (V)', 5.0, "though the name of the column 'volts (V)' suggests V"),
+    (NAMES, 'position=pos_mm', 1.0, 'suggests mm; if it is in mm, write position=pos_mm[mm]'),
+    (NAMES, 'force=pos_mm', 1.0, ''), (NAMES, 'position=x_raw', 7.0, '')])
+def test_a_mapping_without_a_unit_has_that_in_the_name_or_a_remark(
+        tmp_path: Path, content: str, term: str, value: float, remark: str) -> None:
+    (tmp_path / 'a.csv').write_text(content)
+    time = 'time=t[ms]' if content == UNIT_LINE else 'time=t (ms)[ms]'
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter('always', InputWarning)
+        run = import_recording(tmp_path / 'a.csv', [time, term])
+    assert run.time_s.tolist() == [0.0, 0.001]
+    assert run.signal(term.partition('=')[0])[0] == pytest.approx(value)
+    said = [str(each.message) for each in warned if each.category is InputWarning]
+    assert len(said) == bool(remark)
+    assert remark in ''.join(said)
+
+
+def test_a_line_of_units_is_previewed_and_kept_for_each_joint(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text('t,q_hip,q_knee\nms,deg,deg\n' + ''.join(
+        f'{k},{k % 3},{k % 4}\n' for k in range(20)))
+    assert preview(tmp_path / 'a.csv').mapping == ['time=t [ms][ms]', 'position=q_hip [deg][deg]']
+    runs = import_joints(tmp_path / 'a.csv', ['time=t', 'position=q_{joint}'])
+    assert list(runs) == ['hip', 'knee'] and runs['knee'].unit('position') == 'rad'
