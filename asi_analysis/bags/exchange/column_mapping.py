@@ -110,8 +110,8 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
     """Return the values of a mapping in SI units, and the unit, or DATE. Raises InputError."""
     term, scale, offset = column_of(mapping, table), 1.0, 0.0
     if term is None:
-        raise InputError(f'{path}: {mapping.text!r} names no column; there are '
-                         + listed(table))
+        raise InputError(f'{path}: {mapping.text!r} names no column{_other_form(mapping, table)}; '
+                         f'there are {listed(table)}')
     found = _TERM.fullmatch(mapping.term)
     span = 0.0
     if found and term not in (mapping.term, mapping.text.partition('=')[2].strip()):
@@ -128,15 +128,28 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
     if span:
         values = (values + 0.5 * span) % span - 0.5 * span
     elif mapping.signal != 'time' and (kind := wrapped(values)):
-        warnings.warn(f'{path}: column {term} has values near 0 and near the largest of {kind[1:]}'
-                      f', and none between: it looks like a signed number that was read as an '
-                      f'unsigned one; if so, map {mapping.signal}={term}*{kind}', InputWarning,
+        warnings.warn(f'{path}: column {term} has values near 0 and near the largest of '
+                      f'u{kind}, and none between: it looks like a signed number that was read as '
+                      f'an unsigned one; if so, map {mapping.signal}={term}*{kind}', InputWarning,
                       stacklevel=2)
     scaled = scale != 1.0 or offset != 0.0
     if scaled:
         values = values * scale + offset
     unit, factor = conversion(mapping.unit or _stated(mapping, term, scaled, path)) or ('', 1.0)
     return (values if factor == 1.0 else values * factor), unit
+
+
+def _other_form(mapping: Assignment, table: Table) -> str:
+    """Return how to write x/1000, -x and 2*x, if that is what a mapping has."""
+    found = re.fullmatch(rf'-(?P<negative>.+)|(?P<factor>{_NUMBER})\*(?P<scaled>.+)'
+                         rf'|(?P<divided>.+?)/(?P<by>{_UNSIGNED})', mapping.term)
+    column = found and (found['negative'] or found['scaled'] or found['divided'])
+    if not found or not column or column.strip() not in table:
+        return ''
+    if not (by := float(found['by'] or 1.0)):
+        return ''
+    scale = found['factor'] or f'{1.0 / by:.12g}'
+    return f': write {column.strip()}*{"-1" if found["negative"] else scale}'
 
 
 def _stated(mapping: Assignment, column: str, scaled: bool, path: Path) -> str:

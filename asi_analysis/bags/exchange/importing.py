@@ -15,6 +15,7 @@ from asi_analysis.bags.bag_writer import INFORMATION
 from asi_analysis.bags.exchange.bag_table import is_bag, read_bag_table
 from asi_analysis.bags.exchange.column_mapping import (
     DATE,
+    SIGNED,
     Assignment,
     evaluate,
     listed,
@@ -299,8 +300,17 @@ def _time(mapped: tuple[Array, str] | None, count: int, rate_hz: float | None, p
     steps = np.diff(mapped[0][known])
     if not (steps > 0.0).any() or (steps < 0.0).any():
         row = known[int(np.argmax(steps < 0.0)) + 1] + 1 if len(steps) else 1
-        raise InputError(f'{path}: time does not rise at row {row}')
+        raise InputError(f'{path}: time does not rise at row {row}{_wrap_of(steps)}')
     return mapped[0] - mapped[0][known[0]]
+
+
+def _wrap_of(steps: Array) -> str:
+    """Return how to read a time whose counter of 16 or 32 bits began again, if it seems to."""
+    fall_s = -float(steps.min(initial=0.0))
+    kind = next((kind for kind, span in SIGNED.items() for unit_s in (1.0, 1e-3, 1e-6, 1e-9)
+                 if 0.9 * span < fall_s / unit_s <= span), '')
+    return (f': if its counter began again, map it with the scale {kind}, as in time=t*{kind}[ms]'
+            if kind else '')
 
 
 def _repeated(time_s: Array, columns: Sequence[Array], path: Path) -> Array:

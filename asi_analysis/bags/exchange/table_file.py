@@ -137,8 +137,8 @@ def _columns(variables: Mapping[str, npt.NDArray]) -> tuple[Table, list[str]]:
     for variable, values in variables.items():
         for name, column in _columns_of(variable, values):
             if column is None:
-                left_out.append(f'{name} is left out: a variable may have {MOST_COLUMNS} columns '
-                                'and two dimensions')
+                left_out.append(f'{name} is left out: a variable has numbers or dates, in at most '
+                                f'{MOST_COLUMNS} columns and two dimensions')
             elif name in table:
                 raise ValueError(f'two columns are called {name}')
             else:
@@ -163,8 +163,11 @@ def _columns_of(name: str, values: npt.NDArray) -> Iterator[tuple[str, npt.NDArr
                     yield from _columns_of(f'{one}.{field}', np.asarray(element[field]))
             else:
                 yield from _columns_of(one, np.asarray(element))
-    elif not np.issubdtype(values.dtype, np.number):
-        return
+    elif values.dtype.kind == 'b':
+        yield from _columns_of(name, values.astype(float))
+    elif values.dtype.kind not in 'iufcmM':
+        if values.size > 1:     # a single text is a remark
+            yield name, None
     elif values.size == max(values.shape, default=0):
         yield name, np.ravel(values)
     elif values.ndim == 2 and min(values.shape) <= MOST_COLUMNS:

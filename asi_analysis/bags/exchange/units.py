@@ -31,6 +31,11 @@ UNITS: Final = {
     '1': ('1', 1.0), '%': ('1', 1e-2)}
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
+# Ends of names, as in force_kip; of the name of a time, since pos_min is a least position.
+ENDS: Final = {'sec': 's', 'msec': 'ms', 'usec': 'us', 'nsec': 'ns', 'kip': 'kip', 'inch': 'in',
+               'yard': 'yard'}
+TIME_ENDS: Final = {'min': 'min', 'h': 'h', 'hr': 'h', 'hours': 'h'}
+TIMES: Final = ('t', 'time', 'elapsed', 'timestamp')
 # What stands in brackets after a name.
 BRACKETS: Final = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]\s*$')
 # SI unit → its name in pint. Angles have no dimension in pint: UNITS lists all of theirs.
@@ -68,6 +73,9 @@ def unit_in(name: str) -> str:
     found = BRACKETS.search(name)
     candidates = [found[1]] if found else []
     head, _, last = name.replace(' ', '_').rpartition('_')
+    ends = ENDS | (TIME_ENDS if head.lower() in TIMES else {})
+    if head and last.lower() in ends:
+        return ends[last.lower()]
     candidates += [f'{head.rpartition("_")[2]}/s'] if last == 's' and '_' in head else []
     candidates += [last] if head or last in WHOLE else []
     candidates += [last] if (last := name.rpartition('.')[2]) in WHOLE else []

@@ -211,3 +211,41 @@ def test_a_line_of_units_is_previewed_and_kept_for_each_joint(tmp_path: Path) ->
     assert preview(tmp_path / 'a.csv').mapping == ['time=t [ms][ms]', 'position=q_hip [deg][deg]']
     runs = import_joints(tmp_path / 'a.csv', ['time=t', 'position=q_{joint}'])
     assert list(runs) == ['hip', 'knee'] and runs['knee'].unit('position') == 'rad'
+
+
+@pytest.mark.parametrize(('term', 'write'), [
+    ('x/1000', r'x\*0\.001'), ('-x', r'x\*-1'), ('2*x', r'x\*2')])
+def test_another_form_of_a_mapping_is_told(tmp_path: Path, term: str, write: str) -> None:
+    (tmp_path / 'a.csv').write_text('t,x\n0,1\n1,2\n')
+    with pytest.raises(InputError, match=f'names no column: write {write}; there are t, x'):
+        import_recording(tmp_path / 'a.csv', ['time=t', f'position={term}'])
+
+
+def test_a_time_whose_counter_began_again_is_told(tmp_path: Path) -> None:
+    (tmp_path / 'a.csv').write_text('t,x\n4294966000,1\n4294967000,2\n704,3\n1704,4\n')
+    with pytest.raises(InputError, match=r'at row 3: if its counter .* time=t\*int32\[ms\]'):
+        import_recording(tmp_path / 'a.csv', ['time=t[ms]', 'position=x'])
+    run = import_recording(tmp_path / 'a.csv', ['time=t*int32[ms]', 'position=x'])
+    np.testing.assert_allclose(run.time_s, [0.0, 1.0, 2.0, 3.0])
+
+
+def test_what_an_archive_holds_beside_numbers_is_read_or_told(tmp_path: Path) -> None:
+    day = np.datetime64('2024-05-01T10:00:00', 'ms')
+    np.savez(tmp_path / 'a.npz', t=day + np.arange(3) * np.timedelta64(500, 'ms'),
+             on=np.array([True, False, True]), x=np.arange(3.0), mode=np.array(['a', 'b', 'c']),
+             note='a remark')
+    with pytest.warns(InputWarning, match='mode is left out') as warned:
+        run = import_recording(tmp_path / 'a.npz', ['time=t', 'position=x', 'command=on[1]'])
+    assert not [each for each in warned if 'note' in str(each.message)]
+    assert run.time_s.tolist() == [0.0, 0.5, 1.0]
+    assert run.signal('command').tolist() == [1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(('header', 'mapping'), [
+    ('time_usec,force_kip', ['time=time_usec[us]', 'force=force_kip[kip]']),
+    ('time_min,pos_min', ['time=time_min[min]', 'position=pos_min[m]']),
+    ('time_sec,force_hand', ['time=time_sec[s]', 'force=force_hand[N]'])])
+def test_the_preview_knows_units_that_are_written_out(
+        tmp_path: Path, header: str, mapping: list[str]) -> None:
+    (tmp_path / 'a.csv').write_text(header + '\n' + ''.join(f'{k},{k % 3}\n' for k in range(9)))
+    assert preview(tmp_path / 'a.csv').mapping == mapping
