@@ -384,8 +384,9 @@ def _form(head: list[str], delimiter: str | None) -> _Form:
 
 def _rank(lines: list[str], delimiter: str) -> tuple[int, int]:
     """Return how well a delimiter splits lines: into most numbers, and few other cells."""
-    rows = [_cells(line, delimiter) for line in lines]
-    return sum(numbers_in(cell) for row in rows for cell in row), -sum(map(len, rows))
+    cells = [cell for line in lines for cell in _cells(line, delimiter) if cell]
+    numbers = list(map(numbers_in, cells))
+    return sum(numbers), -numbers.count(0)
 
 
 def _mostly_numbers(cells: Sequence[str]) -> bool:
@@ -429,10 +430,21 @@ def _first_of_data(rows: list[list[str]], form: _Form) -> int:
     return first
 
 
+def _whole(lines: list[str]) -> list[str]:
+    """Return lines, those as one in which a quoted name has several lines."""
+    found = ['']
+    for line in lines:
+        if found[-1].count('"') % 2:
+            found[-1] = f'{found[-1].rstrip()} {line}'
+        else:
+            found.append(line)
+    return lines if found[-1].count('"') % 2 else found[1:]
+
+
 def _fits(names: list[str], form: _Form) -> bool:
     """Return whether names may be those of the columns."""
     lacking = form.width - len(names)
-    return not all(name.lower() in MISSING for name in names) and (
+    return not all(name.strip('-=').lower() in MISSING for name in names) and (
         lacking in (0, int(form.row_names)) or (form.delimiter != ' ' and abs(lacking) == 1))
 
 
@@ -451,7 +463,7 @@ def _header(before: list[str], form: _Form, path: Path) -> list[str]:
     The units of a line below it are added, as in `pos [mm]`. With blanks as delimiter, names may
     not contain blanks.
     """
-    lines = [_cells(line.lstrip('#% '), form.delimiter) for line in reversed(before)]
+    lines = [_cells(line.lstrip('#% '), form.delimiter) for line in reversed(_whole(before))]
     lines = [line for line in lines if _fits(line, form)]
     units: list[str] = []
     if lines and (_are_units(lines[0], 1.0) or (

@@ -169,7 +169,10 @@ def test_dates_of_two_parquet_files_and_of_a_text_are_of_one_clock(tmp_path: Pat
     ('t\tpos\tn\ns\tmm\t-\n0\t1\t5\n1\t2\t6\n', ['t [s]', 'pos [mm]', 'n']),
     ('t x\n[s] [mm]\n0 1\n1 2\n', ['t [s]', 'x [mm]']),
     ('deg,rpm,current\n0,1,5\n1,2,6\n', ['deg', 'rpm', 'current']),
-    ('s,mm\n0,1\n1,2\n', ['#1 [s]', '#2 [mm]'])])
+    ('s,mm\n0,1\n1,2\n', ['#1 [s]', '#2 [mm]']),
+    ('t,"Force\n[kN]","Pos\n[mm]"\n0,1,5\n1,2,6\n', ['t', 'Force [kN]', 'Pos [mm]']),
+    ('t;f\ns;N\n---;---\n0;1\n1;2\n', ['t [s]', 'f [N]']),
+    ('t,x\n0,1;\n1,2;\n', ['t', 'x'])])
 def test_a_line_of_units_is_the_unit_of_each_column(
         tmp_path: Path, content: str, names: list[str]) -> None:
     assert list(read(tmp_path, content)) == names
