@@ -167,7 +167,8 @@ def _stated(mapping: Assignment, column: str, scaled: bool, path: Path) -> str:
     bracketed = BRACKETS.search(column) is not None
     if bracketed and fits and not scaled:
         warnings.warn(f'{path}: {mapping.text!r} is read in {unit}, which the column {column!r} '
-                      f'states: write {mapping.text}[{unit}]', InputWarning, stacklevel=3)
+                      f'states; write {mapping.text}[{unit}] to say so', InputWarning,
+                      stacklevel=3)
         return unit
     if fits if scaled else fits or bracketed:
         write = f'; if it is in {unit}, write {mapping.text}[{unit}]' if fits else ''

@@ -172,6 +172,8 @@ def _guess(name: str) -> _Guess | None:
     unit = unit_in(name)
     if _unknown_unit(name):
         return None
+    if name == 'X_Value':
+        return _Guess('time', '', 'named so by LabVIEW')
     if name.startswith('/'):
         name = re.sub('/[xyz]$', '', name)
         unit = unit or (JOINT_UNITS | WRENCH_UNITS).get(name.rpartition('/')[2], '')

@@ -300,7 +300,9 @@ def _as_array(cells: Sequence[str], what: str, before: int) -> npt.NDArray:
     try:
         return np.array(known, float)
     except ValueError:
-        lists = [[] if cell == 'nan' else _elements(cell) for cell in known]
+        first = next(cell for cell in known if cell != 'nan')
+        lists = [None] if _elements(first) is None else [
+            [] if cell == 'nan' else _elements(cell) for cell in known]
     width = len(next(filter(None, lists), []))
     if not width or any(each is None for each in lists):
         return np.array(cells, TEXT)
@@ -323,7 +325,7 @@ def _read_commas(parts: list[npt.NDArray], what: str) -> None:
     if not with_comma:
         return
     numbers = [part[np.isfinite(part)] for part in parts if part.dtype == float]
-    others = [cell for cell in texts if cell.lower() not in MISSING and ',' not in cell
+    others = [cell for cell in texts if ',' not in cell and cell.lower() not in MISSING
               and is_number(cell)]
     pointed = any('.' in cell for cell in others) or any(
         bool((part % 1.0).any()) for part in numbers)

@@ -247,6 +247,7 @@ def test_what_an_archive_holds_beside_numbers_is_read_or_told(tmp_path: Path) ->
 @pytest.mark.parametrize(('header', 'mapping'), [
     ('time_usec,force_kip', ['time=time_usec[us]', 'force=force_kip[kip]']),
     ('time_min,pos_min', ['time=time_min[min]', 'position=pos_min[m]']),
+    ('X_Value,Pos', ['time=X_Value[s]', 'position=Pos[m]']),
     ('time_sec,force_hand', ['time=time_sec[s]', 'force=force_hand[N]'])])
 def test_the_preview_knows_units_that_are_written_out(
         tmp_path: Path, header: str, mapping: list[str]) -> None:
