@@ -13,8 +13,14 @@ import numpy.typing as npt
 from asi_analysis.arrays import Array
 from asi_analysis.bags.exchange.dates import since_first
 from asi_analysis.bags.exchange.table_file import Table
-from asi_analysis.bags.exchange.text_file import SI_NUMBER, SI_PREFIX
-from asi_analysis.bags.exchange.units import BRACKETS, MISSING, conversion, unit_in
+from asi_analysis.bags.exchange.units import (
+    BRACKETS,
+    MISSING,
+    SI_NUMBER,
+    SI_PREFIX,
+    conversion,
+    unit_in,
+)
 from asi_analysis.bags.run import SIGNALS
 from asi_analysis.errors import InputError, InputWarning
 

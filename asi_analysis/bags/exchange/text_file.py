@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.dates import is_moment
-from asi_analysis.bags.exchange.units import BRACKETS, MISSING, UNITS, conversion
+from asi_analysis.bags.exchange.units import BRACKETS, MISSING, SI_NUMBER, UNITS, conversion
 from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError, InputWarning
 
@@ -35,10 +35,6 @@ MOST_UNPACKED: Final = 100_000_000
 MOST_RATIO: Final = 20
 # Cells that are no numbers; numpy 1.26, of Ubuntu 24.04, has no type for texts of any length.
 TEXT: Final = getattr(np.dtypes, 'StringDType', lambda: np.dtype(object))()
-# LabVIEW writes -19m for -0.019.
-SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
-SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
-                    'G': 1e9}
 # A list in a cell: [1, 2], (1; 2), [1 2] of numpy, or array('d', [1, 2]) of a ROS message.
 _LIST: Final = re.compile(r"(?:\w+\((?:'\w', *)?)?[\[(]([^\[\]()]*)[\])](?:, *\w+=[\w.]+)?\)?")
 # A number with one comma, and one whose comma may separate thousands.
@@ -217,15 +213,19 @@ class _Rows:
         Of remarks in the last column, some may be missing or contain the delimiter. Nothing tells
         which number is missing, nor which comma is a decimal one.
         """
+        numbers = self.form.numeric
         if len(row) < width:
-            if self.form.delimiter == ' ':
-                raise self._of_other_width(number, len(row))
-            if self.padded is None or len(row) < self.padded[1]:
+            fits = self.form.delimiter != ' ' and all(
+                column < len(row) and row[column] and _are_numbers([row[column]])
+                for column in numbers)
+            if fits and (self.padded is None or len(row) < self.padded[1]):
                 self.padded = number, len(row)
-        elif any(row[width:]) and (self.form.width > width or is_number(row[width - 1])):
-            raise self._of_other_width(number, len(row), (
-                ': if these are decimal commas, save it with semicolons or tabs between the cells'
-                if self.form.delimiter == ',' else ''))
+        elif self.form.width > width:
+            fits = not any(row[width:])
+        else:
+            fits = not any(row) or (width - 1 not in numbers and not is_number(row[width - 1]))
+        if not fits:
+            raise self._of_other_width(number, len(row))
         row[:] = [*row, *[''] * (width - len(row))][:width]
 
     def check_padded(self, columns: Sequence[npt.NDArray]) -> None:
@@ -233,11 +233,13 @@ class _Rows:
         if self.padded is None:
             return
         number, width = self.padded
-        for name, column in zip(self.names[width:], columns[width:], strict=True):
-            if name and not _is_of_remarks(column):
-                raise self._of_other_width(number, width, ': which one is missing is not known')
+        if any(name and not _is_of_remarks(column) for name, column in
+               zip(self.names[width:], columns[width:], strict=True)):
+            raise self._of_other_width(number, width)
 
-    def _of_other_width(self, number: int, width: int, why: str = '') -> InputError:
+    def _of_other_width(self, number: int, width: int) -> InputError:
+        why = (': if these are decimal commas, save it with semicolons or tabs between the cells'
+               if width > len(self.names) and self.form.delimiter == ',' else '')
         return InputError(f'{self.path}: row {number} has {width} cells, expected '
                           f'{len(self.names)}, one for each name{why}')
 

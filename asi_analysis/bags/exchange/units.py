@@ -29,6 +29,10 @@ UNITS: Final = {
     'Pa': ('Pa', 1.0), 'kPa': ('Pa', 1e3), 'MPa': ('Pa', 1e6), 'bar': ('Pa', 1e5),
     'psi': ('Pa', 6894.757293168361),
     '1': ('1', 1.0), '%': ('1', 1e-2)}
+# LabVIEW writes -19m for -0.019.
+SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
+SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
+                    'G': 1e9}
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
 # Ends of names, as in force_kip; of the name of a time, since pos_min is a least position.

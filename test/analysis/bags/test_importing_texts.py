@@ -31,6 +31,9 @@ def read(folder: Path, content: str, columns: list[str] | None = None) -> dict[s
     ('t,pos,force,cmd\n0,1\n1,2\n2,3,4,5\n3,4,5,6\n4,5,6,7\n', 'row 1 has 2 cells'),
     ('t,x,note\n0,0,5,ok\n1,1,5,ok\n2,2,5,ok\n', 'row 1 has 4 cells, expected 3.*decimal commas'),
     ('t,x,note\n0,1,"two\nlines"\n1,2,\n2,3,\n', 'row 2 has 1 cells'),
+    ('t,x,f,note\n0,1,2,a\n1,3,b\n2,3,4,c\n', 'row 2 has 3 cells, expected 4'),
+    ('t,x,f,note\n0,1,2,a\n1,3,\n2,3,4,c\n', 'row 2 has 3 cells, expected 4'),
+    ('t,x,note\n0,1,a\n7,1,2,\n2,3,c\n3,4,c\n', 'row 2 has 4 cells, expected 3'),
     ('t,q,q#1\n0,"[1, 2]",3\n1,"[1, 2]",3\n', 'two columns are called q#1')])
 def test_rows_of_another_width_are_refused(tmp_path: Path, content: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
