@@ -17,7 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from asi_analysis.bags.exchange.dates import is_moment
-from asi_analysis.bags.exchange.units import BRACKETS, MISSING, SI_NUMBER, UNITS, conversion
+from asi_analysis.bags.exchange.units import (
+    BRACKETS,
+    MISSING,
+    UNITS,
+    WITH_COMMA,
+    conversion,
+    elements_in,
+    is_number,
+    numbers_in,
+)
 from asi_analysis.bags.limits import IF_INTENDED, unpack_limit
 from asi_analysis.errors import InputError, InputWarning
 
@@ -35,10 +44,7 @@ MOST_UNPACKED: Final = 100_000_000
 MOST_RATIO: Final = 20
 # Cells that are no numbers; numpy 1.26, of Ubuntu 24.04, has no type for texts of any length.
 TEXT: Final = getattr(np.dtypes, 'StringDType', lambda: np.dtype(object))()
-# A list in a cell: [1, 2], (1; 2), [1 2] of numpy, or array('d', [1, 2]) of a ROS message.
-_LIST: Final = re.compile(r"(?:\w+\((?:'\w', *)?)?[\[(]([^\[\]()]*)[\])](?:, *\w+=[\w.]+)?\)?")
-# A number with one comma, and one whose comma may separate thousands.
-_WITH_COMMA: Final = re.compile(r'[+-]?\d*,\d+(?:[eE][+-]?\d+)?[pnuµmkMG]?')
+# A number whose comma may separate thousands.
 _THOUSANDS: Final = re.compile(r'[+-]?[1-9]\d{0,2},\d{3}')
 
 codecs.register_error('windows-1252', lambda error: (   # the encoding of older programs
@@ -127,40 +133,6 @@ def _of_lists(name: str, column: npt.NDArray) -> Iterator[tuple[str, npt.NDArray
         yield from ((f'{name}#{number}', each) for number, each in enumerate(column.T, 1))
 
 
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, also one with a decimal comma, or empty."""
-    try:
-        float(cell or 'nan')
-    except ValueError:
-        return bool(SI_NUMBER.fullmatch(cell) or _WITH_COMMA.fullmatch(cell))
-    return True
-
-
-def numbers_in(cell: str) -> int:
-    """Return how many numbers a cell holds: of a list its elements."""
-    elements = _elements(cell)
-    return int(is_number(cell)) if elements is None else len(elements)
-
-
-def _elements(cell: str) -> list[float] | None:
-    """
-    Return the numbers of a list in a cell; None if it holds no list of numbers.
-
-    Between semicolons, a comma is a decimal comma.
-    """
-    found = _LIST.fullmatch(cell) if cell[-1:] in tuple('])') else None
-    if found is None:
-        return None
-    inner = found[1].strip()
-    mark = next((each for each in ';,' if each in inner), None)
-    elements = [each.strip() for each in inner.split(mark)] if inner else []
-    try:
-        return [float('nan' if each.lower() in MISSING else each.replace(',', '.'))
-                for each in elements]
-    except ValueError:
-        return None
-
-
 def lines_of(raw: gzip.GzipFile | io.BufferedReader, path: Path) -> Iterator[str]:
     """Yield the lines of a text in UTF-8, UTF-16 or, as older programs write it, Windows-1252."""
     marks = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -198,7 +170,8 @@ class _Rows:
             if _is_comment(row, self.form) or not (line.strip() or self.form.delimiter == '\t'):
                 continue
             number += 1
-            if len(row) < width and number > 1 and not line.endswith('\n'):
+            if len(row) < width and number > 1 and not (
+                    line.endswith('\n') or self._lacks_remarks(row)):
                 warnings.warn(f'{self.path}: its last row, {line[:60]!r}, is cut off and left out',
                               InputWarning, stacklevel=2)
                 return
@@ -213,20 +186,24 @@ class _Rows:
         Of remarks in the last column, some may be missing or contain the delimiter. Nothing tells
         which number is missing, nor which comma is a decimal one.
         """
-        numbers = self.form.numeric
         if len(row) < width:
-            fits = self.form.delimiter != ' ' and all(
-                column < len(row) and row[column] and _are_numbers([row[column]])
-                for column in numbers)
+            fits = self._lacks_remarks(row)
             if fits and (self.padded is None or len(row) < self.padded[1]):
                 self.padded = number, len(row)
         elif self.form.width > width:
             fits = not any(row[width:])
         else:
-            fits = not any(row) or (width - 1 not in numbers and not is_number(row[width - 1]))
+            fits = not any(row) or (
+                width - 1 not in self.form.numeric and not is_number(row[width - 1]))
         if not fits:
             raise self._of_other_width(number, len(row))
         row[:] = [*row, *[''] * (width - len(row))][:width]
+
+    def _lacks_remarks(self, row: list[str]) -> bool:
+        """Return whether a short row has its numbers where the other rows have them."""
+        return self.form.delimiter != ' ' and all(
+            column < len(row) and row[column] and _are_numbers([row[column]])
+            for column in self.form.numeric)
 
     def check_padded(self, columns: Sequence[npt.NDArray]) -> None:
         """Raise InputError if a cell was added to a row in a column that is not of remarks."""
@@ -266,7 +243,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
     """Return whether cells are numbers, dates, lists or missing, and not all empty or a dash."""
     return any(cell not in ('', '-') for cell in cells) and all(
         cell.lower() in MISSING or is_moment(cell) or is_number(cell)
-        or _elements(cell) is not None for cell in cells)
+        or elements_in(cell) is not None for cell in cells)
 
 
 def _columns(rows: _Rows) -> list[npt.NDArray]:
@@ -303,8 +280,8 @@ def _as_array(cells: Sequence[str], what: str, before: int) -> npt.NDArray:
         return np.array(known, float)
     except ValueError:
         first = next(cell for cell in known if cell != 'nan')
-        lists = [None] if _elements(first) is None else [
-            [] if cell == 'nan' else _elements(cell) for cell in known]
+        lists = [None] if elements_in(first) is None else [
+            [] if cell == 'nan' else elements_in(cell) for cell in known]
     width = len(next(filter(None, lists), []))
     if not width or any(each is None for each in lists):
         return np.array(cells, TEXT)
@@ -323,7 +300,7 @@ def _read_commas(parts: list[npt.NDArray], what: str) -> None:
     beside cells with a point, or 1,000 beside 999. Warns of 1,000 alone.
     """
     texts = [cell for part in parts if part.dtype != float for cell in map(str, part)]
-    with_comma = [cell for cell in texts if ',' in cell and _WITH_COMMA.fullmatch(cell)]
+    with_comma = [cell for cell in texts if ',' in cell and WITH_COMMA.fullmatch(cell)]
     if not with_comma:
         return
     numbers = [part[np.isfinite(part)] for part in parts if part.dtype == float]
@@ -340,7 +317,7 @@ def _read_commas(parts: list[npt.NDArray], what: str) -> None:
                       'if commas separate thousands, write the numbers without them', InputWarning,
                       stacklevel=2)
     parts[:] = [part if part.dtype == float else _as_array(
-        [cell.replace(',', '.') if _WITH_COMMA.fullmatch(cell) else cell
+        [cell.replace(',', '.') if WITH_COMMA.fullmatch(cell) else cell
          for cell in map(str, part)], what, 0) for part in parts]
 
 
@@ -375,7 +352,7 @@ def _form(head: list[str], delimiter: str | None) -> _Form:
     known = [line for line in head if not line.startswith(COMMENT)] or head
     half = known[len(known) // 2:]
     lines = half[::len(half) // SAMPLED + 1]
-    delimiter = delimiter or max('\t;, ', key=lambda mark: _rank(lines, mark))
+    delimiter = delimiter or _delimiter(lines)
     rows = [row for line in lines if (row := _cells(line, delimiter))]
     counted = Counter(map(len, rows))
     width = max(counted, key=lambda each: (counted[each], each), default=0)
@@ -386,11 +363,17 @@ def _form(head: list[str], delimiter: str | None) -> _Form:
                  bool(columns) and _may_be_row_names(columns[0], quoted, delimiter))
 
 
-def _rank(lines: list[str], delimiter: str) -> tuple[int, int]:
-    """Return how well a delimiter splits lines: into most numbers, and few other cells."""
-    cells = [cell for line in lines for cell in _cells(line, delimiter) if cell]
-    numbers = list(map(numbers_in, cells))
-    return sum(numbers), -numbers.count(0)
+def _delimiter(lines: list[str]) -> str:
+    """Return the delimiter that splits most lines into most numbers, and fewest other cells."""
+    best: Counter[str] = Counter()
+    for line in lines:
+        ranks = {}
+        for mark in '\t;, ':
+            numbers = [numbers_in(cell) for cell in _cells(line, mark) if cell]
+            ranks[mark] = sum(numbers), -numbers.count(0)
+        mark = max(ranks, key=lambda each: ranks[each])
+        best[mark] += len(set(ranks.values())) > 1
+    return max('\t;, ', key=lambda mark: best[mark])
 
 
 def _mostly_numbers(cells: Sequence[str]) -> bool:

@@ -1,4 +1,4 @@
-"""Units of imported recordings, their conversion to SI, and what stands for no value."""
+"""Units of imported recordings, their conversion to SI, and what cells are numbers."""
 
 import functools
 import math
@@ -33,6 +33,10 @@ UNITS: Final = {
 SI_NUMBER: Final = re.compile(r'([+-]?(?:\d+\.?\d*|\.\d+))([pnuµmkMG])')
 SI_PREFIX: Final = {'p': 1e-12, 'n': 1e-9, 'u': 1e-6, 'µ': 1e-6, 'm': 1e-3, 'k': 1e3, 'M': 1e6,
                     'G': 1e9}
+# A number with one comma.
+WITH_COMMA: Final = re.compile(r'[+-]?\d*,\d+(?:[eE][+-]?\d+)?[pnuµmkMG]?')
+# A list in a cell: [1, 2], (1; 2), [1 2] of numpy, or array('d', [1, 2]) of a ROS message.
+_LIST: Final = re.compile(r"(?:\w+\((?:'\w', *)?)?[\[(]([^\[\]()]*)[\])](?:, *\w+=[\w.]+)?\)?")
 # Units that are the whole name of a column.
 WHOLE: Final = ('mm', 'deg', 'rad', 'rpm', 'kN', 'Nm', 'bar', 'psi', 'MPa')
 # Ends of names, as in force_kip; of the name of a time, since pos_min is a least position.
@@ -90,3 +94,37 @@ def unit_in(name: str) -> str:
         if each.lower() in by_case and not each.isdigit():
             return by_case[each.lower()]
     return ''
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, also one with a decimal comma, or empty."""
+    try:
+        float(cell or 'nan')
+    except ValueError:
+        return bool(SI_NUMBER.fullmatch(cell) or WITH_COMMA.fullmatch(cell))
+    return True
+
+
+def numbers_in(cell: str) -> int:
+    """Return how many numbers a cell holds: of a list its elements."""
+    elements = elements_in(cell)
+    return int(is_number(cell)) if elements is None else len(elements)
+
+
+def elements_in(cell: str) -> list[float] | None:
+    """
+    Return the numbers of a list in a cell; None if it holds no list of numbers.
+
+    Between semicolons, a comma is a decimal comma.
+    """
+    found = _LIST.fullmatch(cell) if cell[-1:] in tuple('])') else None
+    if found is None:
+        return None
+    inner = found[1].strip()
+    mark = next((each for each in ';,' if each in inner), None)
+    elements = [each.strip() for each in inner.split(mark)] if inner else []
+    try:
+        return [float('nan' if each.lower() in MISSING else each.replace(',', '.'))
+                for each in elements]
+    except ValueError:
+        return None

@@ -60,6 +60,8 @@ def test_rows_of_another_width_are_refused(tmp_path: Path, content: str, message
      {'X_Value': [0.0, 0.001], 'Pos': [1.5, 2.5]}),
     ('t,x\n0,1\n1,2\n# event: valve opened\n2,3\n3,4\n', {'x': [1, 2, 3, 4]}),
     ('Time,101,102\n0,1,2\n1,2,3\n', {'101': [1, 2], '102': [2, 3]}),
+    ('t\tx\n0,0\t1,5\n0,1\t\n0,2\tNA\n0,3\t1,7\n0,4\t1,8\n', {'x': [1.5, NAN, NAN, 1.7, 1.8]}),
+    ('t;note\n0;a\n1;b\n2', {'t': [0, 1, 2]}),
     ('t x\n0,001 1,5\n0,002 2,5\n', {'t': [0.001, 0.002], 'x': [1.5, 2.5]})])
 def test_values_stay_in_their_rows_and_columns(
         tmp_path: Path, content: str, expected: dict[str, list[float]]) -> None:
