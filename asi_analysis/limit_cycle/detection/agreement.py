@@ -9,13 +9,14 @@ segment is the mean of the probabilities that all these give to its verdict, as 
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.limit_cycle.detection import drive
+from asi_analysis.limit_cycle.detection import drive, feedback
 from asi_analysis.limit_cycle.detection.verdict import Segment, judge_once, merged
 from asi_analysis.measures.oscillation import oscillation
 
@@ -23,8 +24,6 @@ from asi_analysis.measures.oscillation import oscillation
 PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0.1, 0.9))
 # Least mean probability at which a verdict stands.
 AGREED: Final = 0.5
-# Least share of the command's innovation that the output explains in a closed loop.
-CLOSED: Final = 0.3
 # Largest confidence in a limit cycle if no reference is recorded, which could drive the motion: if
 # the command responds to the output, and if no command is recorded either.
 UNDRIVEN: Final = {True: 0.8, False: 0.5}
@@ -37,6 +36,8 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
     name: signal to analyse, by default as `response_of`. undriven: nothing drove the run
     from outside, although no reference shows it. Raises InputError if the signal is absent.
     """
+    if run.reference_n is not None and not np.isfinite(run.reference_n).any():
+        run = replace(run, reference_n=None)
     found = judge_once(run, name)
     passes = [found]
     for part in _parts(run):
@@ -44,9 +45,7 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
             passes.append(judge_once(part, name))
     found = [_with_unforced(run, segment) if segment.verdict == 'forced' else segment
              for segment in merged([_agreed(segment, passes) for segment in found])]
-    if run.reference_n is not None or undriven:
-        return found
-    return [_unless_driven(run, segment) for segment in found]
+    return found if undriven else [_unless_driven(run, segment) for segment in found]
 
 
 def _parts(run: Run) -> Iterator[Run]:
@@ -98,16 +97,25 @@ def _with_unforced(run: Run, segment: Segment) -> Segment:
 
 
 def _unless_driven(run: Run, segment: Segment) -> Segment:
-    """Return a segment of a run without a reference: an external drive cannot be excluded."""
+    """
+    Return a limit cycle whose confidence allows for a drive that was not recorded.
+
+    A reference at rest does not exclude that the command came from elsewhere: the loop was open.
+    """
     if segment.verdict != 'limit_cycle':
         return segment
-    share = drive.explained_by_output(run, segment.signal, segment.start_s, segment.end_s,
-                                      segment.frequency_hz)
+    place = (segment.signal, segment.start_s, segment.end_s, segment.frequency_hz)
+    if run.reference_n is not None and any(drive.moving(run, segment.start_s, segment.end_s)):
+        return segment
+    share = feedback.explained_by_output(run, *place)
     ask = 'if nothing drove it from outside, say --undriven'
-    if share is not None and share < CLOSED:
+    known = 'no reference is recorded' if run.reference_n is None else 'the reference rests'
+    if share is not None and share < feedback.CLOSED and not feedback.follows_a_law(run, *place):
         return segment._replace(verdict='unsteady', confidence=AGREED, why=(
-            'driven open loop, or a limit cycle: no reference is recorded, and the command does '
-            f'not answer the output, which explains {100 * share:.0f} % of its innovation; {ask}'))
+            f'driven open loop, or a limit cycle: {known}, and the command does not answer the '
+            f'output, which explains {100 * share:.0f} % of its innovation; {ask}'))
+    if run.reference_n is not None:
+        return segment
     return segment._replace(
         confidence=min(segment.confidence, UNDRIVEN[share is not None]),
-        why=f'{segment.why}; unless it is driven, since no reference is recorded: {ask}')
+        why=f'{segment.why}; unless it is driven, since {known}: {ask}')

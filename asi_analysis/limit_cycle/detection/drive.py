@@ -24,11 +24,6 @@ FOLLOWS: Final = 0.5
 # Least share of the time at a limit for the limit to determine the amplitude: a sine clipped for
 # that time keeps 0.96 of its fundamental.
 AT_LIMIT: Final = 0.25
-# Past samples from which the command is predicted, and most samples that are used.
-LAGS: Final = 6
-MOST_SAMPLES: Final = 20_000
-# Share of the command's variance below which its innovation is a rounding error.
-NO_INNOVATION: Final = 1e-12
 
 
 def moving(run: Run, start_s: float, end_s: float) -> Iterator[tuple[str, tuple[Array, Array]]]:
@@ -128,38 +123,3 @@ def quantisation(values: Array) -> float:
     if not 2 < len(levels) < 0.05 * len(values):
         return 0.0
     return float(np.median(np.diff(levels)))
-
-
-def explained_by_output(run: Run, name: str, start_s: float, end_s: float, frequency_hz: float
-                        ) -> float | None:
-    """
-    Return the share of the command's innovation that the output explains: near 1 in a closed loop.
-
-    The innovation is the error of a linear prediction of the command from its own past: the last
-    samples and those one cycle ago. In a closed loop the output up to the same sample explains it
-    (Granger causality: Granger, Econometrica 37, 1969), without feedback it explains nothing. None
-    without a command that moves.
-    """
-    inside = run.between(start_s, end_s + 0.5 * run.period_s)
-    if inside.command_n is None or name == 'command':
-        return None
-    valid = np.isfinite(inside.command_n) & np.isfinite(inside.signal(name))
-    pair = [each[valid][-MOST_SAMPLES:] for each in (inside.command_n, inside.signal(name))]
-    cycle = max(round(1.0 / (frequency_hz * run.period_s)) if frequency_hz > 0.0 else 0, LAGS)
-    if len(pair[0]) < cycle + 10 * LAGS or np.ptp(pair[0]) == 0.0:
-        return None
-    commands, outputs = (np.lib.stride_tricks.sliding_window_view(
-        (each - each.mean()) / max(float(each.std()), 1e-300), LAGS + 1)[:, ::-1]
-        for each in pair)
-    now, own = commands[cycle:, 0], [commands[cycle:, 1:], np.ones((len(commands) - cycle, 1))]
-    if cycle > LAGS:
-        own.append(commands[LAGS // 2:LAGS // 2 - cycle])
-
-    def error(columns: list[Array]) -> float:
-        given = np.hstack(columns)
-        innovation = now - given @ np.linalg.lstsq(given, now, rcond=1e-10)[0]
-        return float(innovation @ innovation) / max(len(innovation) - given.shape[1], 1)
-
-    alone = error(own)
-    # A command that its own past predicts exactly has no innovation.
-    return max(1.0 - error([*own, outputs[cycle:]]) / alone, 0.0) if alone > NO_INNOVATION else 0.0

@@ -15,6 +15,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.drive import flat_share
+from asi_analysis.limit_cycle.detection.feedback import follows_a_law
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.sinusoids.noise import BLOCK, _triangle_of_lags
 from asi_analysis.measures.sinusoids.record import compressed, reduce, uncompressed
@@ -24,6 +25,7 @@ from bench.limit_cycle_verdicts import (
     check_accuracy,
     check_robustness,
     check_verdicts,
+    relay,
     undriven,
 )
 
@@ -197,6 +199,30 @@ def test_a_recording_driven_open_loop_is_no_limit_cycle():
     for segment in judge_run(driven):
         assert segment.verdict != 'limit_cycle'
     assert 'does not answer the output' in segment.why
+
+
+@pytest.mark.parametrize('reference', [0.0, np.nan])
+def test_a_reference_at_rest_is_no_proof_of_a_closed_loop(reference):
+    t = np.arange(2500) / 500.0
+    command = np.sign(np.sin(10.0 * np.pi * t + 0.01))
+    motion = signal.lsim(([3600.0], [1.0, 36.0, 3600.0]), command, t)[1]
+    motion += 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    segments = judge_run(Run(t, np.full(t.size, reference), command, motion))
+    assert all(segment.verdict != 'limit_cycle' for segment in segments)
+
+
+def test_a_loop_that_repeats_itself_is_closed_if_a_law_of_the_output_gives_the_command():
+    t = np.arange(2000) / 100.0
+    random = np.random.default_rng(3)
+    run = relay(random)
+    assert judge_run(run)[-1].confidence > 0.9
+    triangle = signal.sawtooth(2.0 * np.pi * 0.51 * t, 0.5)
+    action = 1.2 * triangle + 3.0 * np.cumsum(triangle) * 0.01
+    output = triangle + 0.01 * random.standard_normal(t.size)
+    assert follows_a_law(Run(t, None, action, output), 'force', 0.0, 20.0, 0.51)
+    process = signal.lfilter([0.02], [1.0, -0.98], triangle)    # open loop
+    output = process + 0.01 * random.standard_normal(t.size)
+    assert not follows_a_law(Run(t, None, triangle, output), 'force', 0.0, 20.0, 0.51)
 
 
 def test_a_command_that_answers_the_output_shows_a_closed_loop():
