@@ -18,27 +18,27 @@ from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
+from asi_analysis.limit_cycle.detection.pieces import (
+    FEWEST_CYCLES,
+    NOISE_FLOOR_SHARE,
+    Piece,
+    cycle_figures,
+    described,
+    figures_of,
+    pieces_of,
+)
 from asi_analysis.limit_cycle.detection.steadiness import steadiness
 from asi_analysis.measures.quality import check_size, check_time
-from asi_analysis.measures.sinusoids.noise import Autoregression, autoregression
 from asi_analysis.measures.sinusoids.record import reduce
 from asi_analysis.measures.sinusoids.sinusoid import (
     HarmonicFit,
-    analytic_signal,
     dominant_frequency,
     fit,
-    fits,
-    on_grid,
     valid_samples,
 )
 
-FEWEST_CYCLES: Final = 3.0
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
-# Gain in description length (-2 ln likelihood) that an oscillation needs: prior odds of 1 to 20.
-DESCRIPTION_MARGIN: Final = 6.0
-# Noise floor relative to the signal, assumed for cleaner recordings (50 dB).
-NOISE_FLOOR_SHARE: Final = 10.0 ** (-2.5)
 # Range of the damping ratio of an oscillating linear loop; the prior is uniform in its logarithm.
 # So a pure sine without visible decay is not yet a limit cycle.
 LEAST_DAMPING: Final = 1e-8
@@ -54,8 +54,6 @@ LEAST_PROBABILITY: Final = 0.9
 QUANTISED: Final = 0.41
 # Cycles that an orbit must last after its approach to be called settled.
 SETTLED_CYCLES: Final = 8.0
-# Above this THD the oscillation is at another frequency.
-MOST_THD: Final = 3.0
 # Least steadiness of an envelope, in standard deviations of the surrogates.
 LEAST_STEADINESS: Final = 4.0
 # Least change of the logarithm of the swing that is a decay, and its confidence.
@@ -96,17 +94,6 @@ class Segment(NamedTuple):
     isolated: bool | None = None
     source: str = ''
     reliable: bool = True
-
-
-class _Piece(NamedTuple):
-    time_s: Array
-    values: Array
-    frequency_hz: float            # initial guess
-    kind: str                      # 'noise' or 'line'
-    steady: HarmonicFit | None     # fitted at constant amplitude
-    moving: HarmonicFit | None     # fitted with a growth rate
-    description: float
-    noise: Autoregression
 
 
 def response_of(run: Run, name: str | None = None) -> tuple[str, Array]:
@@ -188,7 +175,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
     if not np.isfinite(frequency) or cycles < 0.9 * FEWEST_CYCLES:
         return [segment(time_s[0], time_s[-1], *TOO_SHORT)]
     t, y = reduce(time_s, values, frequency)
-    pieces = _pieces(t, y, frequency)
+    pieces = pieces_of(t, y, frequency)
     if all(piece.kind == 'noise' for piece in pieces):
         verdict, confidence, why, more = (_forced(run, t, y, frequency)
                                           or _judge_noise(t, y, frequency))
@@ -210,25 +197,25 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
         came_from = _came_from((all_times[earlier], all_values[earlier]), piece)
         verdict, confidence, why = _judge_line(run, name, piece, came_from)
         found.append(segment(start, end, verdict, confidence, why, came_from=came_from,
-                             **_figures(piece)))
+                             **figures_of(piece)))
     return found
 
 
-def _noise_or_short(piece: _Piece) -> tuple[str, float, str, dict[str, Any]]:
+def _noise_or_short(piece: Piece) -> tuple[str, float, str, dict[str, Any]]:
     """Return the verdict on a piece that is no oscillation: noise, or too short to tell."""
     if (piece.time_s[-1] - piece.time_s[0]) * piece.frequency_hz < 0.9 * FEWEST_CYCLES:
         return *TOO_SHORT, {}
     return 'noise', 0.9, 'coloured noise has the shorter description', {}
 
 
-def _at_own_frequency(time_s: Array, values: Array, piece: _Piece) -> _Piece:
+def _at_own_frequency(time_s: Array, values: Array, piece: Piece) -> Piece:
     """Return the oscillation of a piece at its own dominant frequency, or the piece as noise."""
     frequency = dominant_frequency(time_s, values)
     cycles = frequency * (time_s[-1] - time_s[0])
     if not cycles >= FEWEST_CYCLES or np.ptp(values) == 0.0:
         return piece
     t, y = reduce(time_s, values, frequency)
-    own = _describe(t, y, frequency, NOISE_FLOOR_SHARE * float(np.std(y)))
+    own = described(t, y, frequency, NOISE_FLOOR_SHARE * float(np.std(y)))
     return own if own.steady and own.steady.amplitude > own.steady.noise else piece
 
 
@@ -243,66 +230,7 @@ def _forced(run: Run, t: Array, y: Array, frequency: float
         f'{frequency:.5g} Hz'), {}
 
 
-def _pieces(t: Array, y: Array, frequency: float) -> list[_Piece]:
-    """Return the shortest description of a signal: noise, one oscillation, or pieces."""
-    noise_floor = NOISE_FLOOR_SHARE * float(np.std(y))
-    whole = _describe(t, y, frequency, noise_floor)
-    cuts = seg.envelope_cuts(env.envelope(t, y, frequency))
-    if not cuts:
-        return [whole]
-    edges = np.searchsorted(t, [-np.inf, *cuts, np.inf])
-    pieces = [_describe(t[a:b], y[a:b], frequency, noise_floor)
-              for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    penalty = len(cuts) * np.log(len(y))
-    if sum(piece.description for piece in pieces) + penalty < whole.description:
-        return pieces
-    return [whole]
-
-
-def _describe(t: Array, y: Array, frequency: float, noise_floor: float) -> _Piece:
-    """Return a piece as noise or as an oscillation, whichever has the shorter description."""
-    added = noise_floor * np.random.default_rng(len(y)).standard_normal(len(y))
-
-    def describe(residual: Array, parameters: int) -> Autoregression:
-        return autoregression(on_grid(t, residual + added)[0], parameters)
-
-    drift = np.polynomial.polynomial.Polynomial.fit(t, y, 1)(t)
-    best = describe(y - drift, 2)
-    kind = 'noise'
-    steady, moving = fits(t, y, frequency) or (None, None)
-    for oscillation, nonlinear in ((steady, 1), (moving, 3)):
-        if oscillation is None or oscillation.cycles < 0.8 * FEWEST_CYCLES:
-            continue
-        if oscillation.thd > MOST_THD:
-            continue
-        # One parameter more, as the frequency was searched among as many as there are samples.
-        parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1
-        noise = describe(y - oscillation.at(t), parameters)
-        if noise.description < best.description - (DESCRIPTION_MARGIN if kind == 'noise' else 0.0):
-            kind, best = 'line', noise
-    if steady and moving and steady.cycles < 0.8 * FEWEST_CYCLES:
-        steady = moving   # fast decay: the fit of constant amplitude is at a wrong frequency
-    return _Piece(t, y, frequency, kind, steady, moving, best.description, best)
-
-
-def _figures(piece: _Piece) -> dict[str, Any]:
-    """Return the figures of a segment that is an oscillation."""
-    steady, moving = piece.steady, piece.moving
-    assert steady is not None and moving is not None
-    mean = piece.values.mean()
-    peaks = env.peaks_by_cycle(piece.time_s, piece.values - mean, steady.frequency_hz)
-    return {
-        'frequency_hz': steady.frequency_hz,
-        'frequency_interval_hz': steady.interval('frequency_hz'),
-        'amplitude': steady.amplitude, 'amplitude_interval': steady.interval('amplitude'),
-        'thd': steady.thd, 'harmonics': tuple(map(complex, steady.harmonics)),
-        'mean': steady.mean, 'cycles': steady.cycles,
-        'envelope_rate_1_s': moving.rate, 'envelope_rate_interval_1_s': moving.interval('rate'),
-        'return_map_slope': env.return_map_slope(peaks),
-        'orbit_closure': env.orbit_closure(piece.time_s, piece.values, steady.frequency_hz)}
-
-
-def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
+def _came_from(before: tuple[Array, Array], piece: Piece) -> str:
     """
     Return how the orbit was approached, from the record before it in the same bag.
 
@@ -331,7 +259,7 @@ def _came_from(before: tuple[Array, Array], piece: _Piece) -> str:
     return ' '.join(words + ['disturbed'] * (len(was_on_it) >= FEWEST_CYCLES))
 
 
-def _judge_line(run: Run, name: str, piece: _Piece, came_from: str) -> tuple[str, float, str]:
+def _judge_line(run: Run, name: str, piece: Piece, came_from: str) -> tuple[str, float, str]:
     """Return verdict, confidence and reason for a piece that oscillates."""
     steady, moving = piece.steady, piece.moving
     assert steady is not None and moving is not None
@@ -373,7 +301,7 @@ def _steady_decay(t: Array, y: Array, frequency: float) -> tuple[str, float, str
             f'the swing changes steadily, by a factor {np.exp(-decay):.3g}')
 
 
-def _harmonics(run: Run, name: str, piece: _Piece) -> str:
+def _harmonics(run: Run, name: str, piece: Piece) -> str:
     """Return which signal has significant harmonics, and their size; empty if none has."""
     assert piece.steady is not None
     inside = run.between(piece.time_s[0], piece.time_s[-1] + 0.5 * run.period_s)
@@ -395,7 +323,7 @@ def _significant(oscillation: HarmonicFit, values: Array) -> bool:
     return oscillation.thd * oscillation.amplitude > QUANTISED * step
 
 
-def _decay_probabilities(piece: _Piece, nonlinear: bool) -> tuple[float, float, float]:
+def _decay_probabilities(piece: Piece, nonlinear: bool) -> tuple[float, float, float]:
     """
     Return the probabilities of a limit cycle, a decaying and a growing oscillation.
 
@@ -440,13 +368,13 @@ def _judge_noise(t: Array, y: Array, frequency: float
     steadier than that of surrogates.
     """
     if decay := _steady_decay(t, y, frequency):
-        return *decay, _figures(_describe(t, y, frequency, 0.0))
+        return *decay, figures_of(described(t, y, frequency, 0.0))
     steadier = steadiness(t, y, frequency)
     if steadier > LEAST_STEADINESS:
-        piece = _describe(t, y, frequency, 0.0)
+        piece = described(t, y, frequency, 0.0)
         confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
         verdict = 'limit_cycle' if confidence >= LEAST_PROBABILITY else 'unsteady'
-        figures = _figures(piece) | _cycle_figures(piece, frequency)
+        figures = figures_of(piece) | cycle_figures(piece, frequency)
         return verdict, confidence, (
             f'irregular phase, but its envelope is {steadier:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
@@ -457,22 +385,3 @@ def _judge_noise(t: Array, y: Array, frequency: float
             'steadier than that of noise with the same spectrum'), {}
     return 'noise', chance, (
         'coloured noise with a resonance has a shorter description than any oscillation'), {}
-
-
-def _cycle_figures(piece: _Piece, frequency: float) -> dict[str, Any]:
-    """Return frequency and amplitude with intervals from the scatter of the cycles."""
-    even, period = on_grid(piece.time_s, piece.values)
-    analytic = analytic_signal(even, period, frequency)
-    size = max(int(round(1.0 / (frequency * period))), 1)
-    phase = np.unwrap(np.angle(analytic))[size:-size:size] / (2.0 * np.pi)
-    amplitude = np.abs(analytic)[size:-size:size]
-    if len(phase) < 4:
-        return {}
-    advance = np.diff(phase) / (size * period)
-    half = stats.t.ppf(0.975, len(advance) - 1) / np.sqrt(len(advance))
-    centre, spread = float(advance.mean()), float(advance.std(ddof=1) * half)
-    size_mean = float(amplitude.mean())
-    size_spread = float(amplitude.std(ddof=1) * half)
-    return {'frequency_hz': centre, 'frequency_interval_hz': (centre - spread, centre + spread),
-            'amplitude': size_mean,
-            'amplitude_interval': (size_mean - size_spread, size_mean + size_spread)}
