@@ -54,6 +54,8 @@ LEAST_PROBABILITY: Final = 0.9
 QUANTISED: Final = 0.41
 # Cycles that an orbit must last after its approach to be called settled.
 SETTLED_CYCLES: Final = 8.0
+# Standard deviations of a growth rate that is clearly not 0.
+CLEAR: Final = 5.0
 # Least steadiness of an envelope, in standard deviations of the surrogates.
 LEAST_STEADINESS: Final = 4.0
 # Least change of the logarithm of the swing that is a decay, and its confidence.
@@ -195,7 +197,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
             continue
         earlier = slice(np.searchsorted(all_times, start))
         came_from = _came_from((all_times[earlier], all_values[earlier]), piece)
-        verdict, confidence, why = _judge_line(run, name, piece, came_from)
+        verdict, confidence, why = _judge_line(run, name, piece, pieces[:index])
         found.append(segment(start, end, verdict, confidence, why, came_from=came_from,
                              **figures_of(piece)))
     return found
@@ -259,8 +261,35 @@ def _came_from(before: tuple[Array, Array], piece: Piece) -> str:
     return ' '.join(words + ['disturbed'] * (len(was_on_it) >= FEWEST_CYCLES))
 
 
-def _judge_line(run: Run, name: str, piece: Piece, came_from: str) -> tuple[str, float, str]:
-    """Return verdict, confidence and reason for a piece that oscillates."""
+def _settles(earlier: list[Piece], piece: Piece) -> bool:
+    """
+    Return whether an amplitude approached its orbit, in one motion that nothing drove.
+
+    An undriven linear loop has one growth rate: it does not grow, or decay, for some cycles and
+    then last. A step to the orbit, by a push or by a new mean, is no approach.
+    """
+    assert piece.steady is not None
+    if piece.steady.cycles < SETTLED_CYCLES:
+        return False
+    change, orbit, mean = 0.0, piece.steady.amplitude, piece.values.mean()
+    for before in reversed(earlier):
+        if before.moving is None or abs(before.values.mean() - mean) > orbit:
+            break
+        rate, half = before.moving.rate, 0.5 * (before.time_s[-1] - before.time_s[0])
+        first, last = before.moving.amplitude * np.exp(
+            np.clip(rate * half * np.array([-1.0, 1.0]), -30.0, 30.0))
+        if (before.kind == 'noise' or change * rate < 0.0
+                or abs(rate) < CLEAR * before.moving.rate_sd
+                or abs(rate) > before.moving.frequency_hz
+                or abs(np.log(max(last, 1e-300) / orbit)) > LEAST_DECAY):
+            break
+        change, orbit = change + 2.0 * half * rate, first
+    return abs(change) > LEAST_DECAY
+
+
+def _judge_line(run: Run, name: str, piece: Piece, earlier: list[Piece]
+                ) -> tuple[str, float, str]:
+    """Return verdict, confidence and reason for a piece that oscillates, after earlier ones."""
     steady, moving = piece.steady, piece.moving
     assert steady is not None and moving is not None
     if follows := drive.follows_drive(run, steady, piece.time_s[0], piece.time_s[-1]):
@@ -270,8 +299,8 @@ def _judge_line(run: Run, name: str, piece: Piece, came_from: str) -> tuple[str,
     change = abs(moving.rate) * (piece.time_s[-1] - piece.time_s[0])
     if change < 1.0 and (limit := drive.at_limit(run, piece.time_s[0], piece.time_s[-1])):
         return 'saturating', 0.95, limit
-    settled = came_from and steady.cycles >= SETTLED_CYCLES
-    evidence = _harmonics(run, name, piece) or ('an amplitude that settles' if settled else '')
+    evidence = _harmonics(run, name, piece) or (
+        'an amplitude that settles' if _settles(earlier, piece) else '')
     limit_cycle, decaying, growing = _decay_probabilities(piece, bool(evidence))
     if decaying >= LEAST_PROBABILITY:
         return 'decaying', decaying, f'the envelope decays at {-moving.rate:.3g} 1/s'

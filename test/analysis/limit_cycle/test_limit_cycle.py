@@ -16,6 +16,7 @@ from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.feedback import follows_a_law
+from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.sinusoids.noise import BLOCK, _triangle_of_lags
 from asi_analysis.measures.sinusoids.record import compressed, reduce, uncompressed
@@ -223,6 +224,23 @@ def test_a_loop_that_repeats_itself_is_closed_if_a_law_of_the_output_gives_the_c
     process = signal.lfilter([0.02], [1.0, -0.98], triangle)    # open loop
     output = process + 0.01 * random.standard_normal(t.size)
     assert not follows_a_law(Run(t, None, triangle, output), 'force', 0.0, 20.0, 0.51)
+
+
+def test_an_undamped_linear_loop_that_rings_after_a_step_has_no_amplitude_that_settles():
+    t = np.arange(0.0, 7.0, 0.0046)
+    noise = 0.005 * np.random.default_rng(2).standard_normal(t.size)
+    ringing = np.where(t < 2.4, 0.0, 1.0 - np.cos(10.8 * np.pi * (t - 2.4)))
+    for reference in (np.where(t < 2.4, 0.0, 1.0), np.zeros(t.size)):
+        last = judge_once(Run(t, reference, force_n=ringing + noise))[-1]
+        assert last.verdict != 'limit_cycle'
+
+
+def test_an_amplitude_that_grows_for_some_cycles_and_then_lasts_settles():
+    t = np.arange(4000) / 200.0
+    amplitude = 1.0 / np.sqrt(1.0 + 99.0 * np.exp(-2.0 * t))
+    noise = 0.01 * np.random.default_rng(2).standard_normal(t.size)
+    last = judge_once(undriven(t, amplitude * np.cos(10.0 * np.pi * t) + noise))[-1]
+    assert last.verdict == 'limit_cycle' and 'an amplitude that settles' in last.why
 
 
 def test_a_command_that_answers_the_output_shows_a_closed_loop():
