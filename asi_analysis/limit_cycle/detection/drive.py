@@ -7,6 +7,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
+from asi_analysis.limit_cycle.detection.resolution import quantisation
 from asi_analysis.measures.drives import drives
 from asi_analysis.measures.sinusoids.record import reduce
 from asi_analysis.measures.sinusoids.sinusoid import (
@@ -115,11 +116,3 @@ def flat_share(values: Array) -> float:
     if top + bottom > 0.95:
         return 0.0
     return sum(share for share in (top, bottom) if share > 2.5 * sine + 0.02)
-
-
-def quantisation(values: Array) -> float:
-    """Return the quantisation step of values; 0 if there is none, or only two levels."""
-    levels = np.unique(values)
-    if not 2 < len(levels) < 0.05 * len(values):
-        return 0.0
-    return float(np.median(np.diff(levels)))

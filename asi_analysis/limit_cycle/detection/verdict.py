@@ -18,6 +18,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
+from asi_analysis.limit_cycle.detection.feedback import levels_of
 from asi_analysis.limit_cycle.detection.pieces import (
     FEWEST_CYCLES,
     NOISE_FLOOR_SHARE,
@@ -27,11 +28,11 @@ from asi_analysis.limit_cycle.detection.pieces import (
     figures_of,
     pieces_of,
 )
+from asi_analysis.limit_cycle.detection.resolution import exceeds_rounding, one_of_each
 from asi_analysis.limit_cycle.detection.steadiness import steadiness
 from asi_analysis.measures.quality import check_size, check_time
 from asi_analysis.measures.sinusoids.record import reduce
 from asi_analysis.measures.sinusoids.sinusoid import (
-    HarmonicFit,
     dominant_frequency,
     fit,
     valid_samples,
@@ -39,6 +40,10 @@ from asi_analysis.measures.sinusoids.sinusoid import (
 
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
+LINEAR: Final = ('steady over {:.3g} cycles, but a linear loop close to its stability limit is '
+                 'not ruled out: record a longer or cleaner run')
+# Least share of the variance that a single sine explains if its phase is regular.
+REGULAR: Final = 0.95
 # Range of the damping ratio of an oscillating linear loop; the prior is uniform in its logarithm.
 # So a pure sine without visible decay is not yet a limit cycle.
 LEAST_DAMPING: Final = 1e-8
@@ -49,9 +54,6 @@ LINEAR_ODDS: Final = 0.02
 STEADY_CHANGE: Final = 0.03
 # Least probability of a verdict.
 LEAST_PROBABILITY: Final = 0.9
-# Harmonics must be larger than this share of the quantisation step. The quantisation error has
-# 0.29 steps rms, as a sine of amplitude 0.41; not all of it is harmonic.
-QUANTISED: Final = 0.41
 # Cycles that an orbit must last after its approach to be called settled.
 SETTLED_CYCLES: Final = 8.0
 # Standard deviations of a growth rate that is clearly not 0.
@@ -119,12 +121,14 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     """
     chosen, values = response_of(run, name)
     time_s, values = valid_samples(run.time_s, values)
+    frequency = dominant_frequency(time_s, values)
+    if np.isfinite(frequency):
+        time_s, values = one_of_each(time_s, values, frequency)
     if len(values) < 9:
         raise InputError(f'{run.source or "the run"}: {chosen} has {len(values)} samples, '
                          'at least 9 are needed')
     check_size(run)
     check_time(time_s, run.source)
-    frequency = dominant_frequency(time_s, values)
     cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]
     cuts = seg.reference_cuts(run.time_s, run.reference_n, cycle)
     edges = [time_s[0], *[c for c in cuts if time_s[0] < c < time_s[-1]], np.inf]
@@ -180,7 +184,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
     pieces = pieces_of(t, y, frequency)
     if all(piece.kind == 'noise' for piece in pieces):
         verdict, confidence, why, more = (_forced(run, t, y, frequency)
-                                          or _judge_noise(t, y, frequency))
+                                          or _judge_noise(run, name, t, y, frequency))
         return [segment(*whole, verdict, confidence, why, **more)]
     found = []
     for index, piece in enumerate(pieces):
@@ -312,9 +316,8 @@ def _judge_line(run: Run, name: str, piece: Piece, earlier: list[Piece]
             + evidence)
     if decay := _steady_decay(piece.time_s, piece.values, steady.frequency_hz):
         return decay
-    return 'unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing), (
-        f'steady over {steady.cycles:.3g} cycles, but a linear loop close to its stability limit '
-        'is not ruled out: record a longer or cleaner run')
+    return ('unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing),
+            LINEAR.format(steady.cycles))
 
 
 def _steady_decay(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
@@ -334,22 +337,19 @@ def _harmonics(run: Run, name: str, piece: Piece) -> str:
     """Return which signal has significant harmonics, and their size; empty if none has."""
     assert piece.steady is not None
     inside = run.between(piece.time_s[0], piece.time_s[-1] + 0.5 * run.period_s)
-    if len(piece.steady.harmonics) > 1 and _significant(piece.steady, inside.signal(name)):
+    frequency = piece.steady.frequency_hz
+    t, values = valid_samples(inside.time_s, inside.signal(name))
+    if exceeds_rounding(piece.steady, t, values):
         return f'harmonics of {100 * piece.steady.thd:.2g} %'
     if inside.command_n is None:
         return ''
-    frequency = piece.steady.frequency_hz
-    command = fit(*reduce(*valid_samples(inside.time_s, inside.command_n), frequency), frequency)
-    if (command is None or len(command.harmonics) < 2
-            or not _significant(command, inside.command_n)):
+    t, values = one_of_each(*valid_samples(inside.time_s, inside.command_n), frequency)
+    command = fit(*reduce(t, values, frequency), frequency)
+    # The levels of a switching controller are no resolution of its record.
+    if command is None or len(command.harmonics) < 2 or not (
+            levels_of(values) or exceeds_rounding(command, t, values)):
         return ''
     return f'harmonics of {100 * command.thd:.2g} % in the command'
-
-
-def _significant(oscillation: HarmonicFit, values: Array) -> bool:
-    """Return whether the harmonics are larger than the quantisation error of a pure sine."""
-    step = drive.quantisation(values[np.isfinite(values)])
-    return oscillation.thd * oscillation.amplitude > QUANTISED * step
 
 
 def _decay_probabilities(piece: Piece, nonlinear: bool) -> tuple[float, float, float]:
@@ -387,7 +387,13 @@ def _decay_probabilities(piece: Piece, nonlinear: bool) -> tuple[float, float, f
     return float(limit_cycle), float(decaying), float(growing)
 
 
-def _judge_noise(t: Array, y: Array, frequency: float
+def _is_regular(piece: Piece) -> bool:
+    """Return whether a single sine explains the motion, so that no noise disturbs its phase."""
+    return piece.steady is not None and (
+        0.5 * piece.steady.amplitude ** 2 > REGULAR * float(np.var(piece.values)))
+
+
+def _judge_noise(run: Run, name: str, t: Array, y: Array, frequency: float
                  ) -> tuple[str, float, str, dict[str, Any]]:
     """
     Return verdict, confidence, reason and figures of a segment that a noise model describes best.
@@ -401,6 +407,9 @@ def _judge_noise(t: Array, y: Array, frequency: float
     steadier = steadiness(t, y, frequency)
     if steadier > LEAST_STEADINESS:
         piece = described(t, y, frequency, 0.0)
+        if _is_regular(piece) and not _harmonics(run, name, piece):
+            return 'unsteady', 0.5, LINEAR.format(piece.steady.cycles if piece.steady else 0.0), (
+                figures_of(piece))
         confidence = float(np.clip(stats.norm.cdf(steadier - 2.0), 0.5, 0.99))
         verdict = 'limit_cycle' if confidence >= LEAST_PROBABILITY else 'unsteady'
         figures = figures_of(piece) | cycle_figures(piece, frequency)

@@ -16,6 +16,7 @@ from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.feedback import follows_a_law
+from asi_analysis.limit_cycle.detection.resolution import quantisation
 from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.sinusoids.noise import BLOCK, _triangle_of_lags
@@ -264,11 +265,24 @@ def test_a_piece_far_shorter_than_a_cycle_is_one_block():
     assert judge_run(Run(t, reference, force_n=run.force_n))
 
 
-@pytest.mark.parametrize('levels, verdict', [(4.0, 'unsteady'), (400.0, 'limit_cycle')])
+@pytest.mark.parametrize('levels, verdict', [(2.0, 'unsteady'), (400.0, 'limit_cycle')])
 def test_harmonics_that_rounding_may_have_made_are_no_evidence(levels, verdict):
     run = _cycle(lambda t: np.ones(t.size), 'rounded')
     rounded, = judge_run(undriven(run.time_s, np.round(levels * run.force_n) / levels))
     assert rounded.verdict == verdict
+
+
+def test_rounding_or_holding_a_pure_sine_makes_no_limit_cycle():
+    t = np.arange(200) / 100.0
+    rounded = np.round(6.0 * np.sin(10.0 * np.pi * t + 1.0)) / 6.0
+    assert judge_once(undriven(t, rounded))[0].verdict == 'unsteady'
+    assert quantisation(rounded + 1e4) == pytest.approx(1 / 6)
+    assert quantisation(np.random.default_rng(1).standard_normal(500)) == 0.0
+    fast, slow = np.arange(4000) / 1000.0, np.arange(202) / 50.0
+    measured = np.sin(10.0 * np.pi * slow)
+    for logged in (measured[(fast * 50.0 + 1e-9).astype(int)], np.interp(fast, slow, measured)):
+        segment, = judge_once(undriven(fast, logged))
+        assert segment.verdict == 'unsteady' and segment.amplitude == pytest.approx(1.0, abs=0.01)
 
 
 def test_times_that_repeat_or_run_back_are_left_out():
