@@ -10,6 +10,7 @@ segment is the mean of the probabilities that all these give to its verdict, as 
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import groupby
 from typing import Final
 
 import numpy as np
@@ -17,10 +18,11 @@ import numpy as np
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive, feedback
-from asi_analysis.limit_cycle.detection.verdict import Segment, judge_once, merged
+from asi_analysis.limit_cycle.detection.verdict import AT_REST, Segment, judge_once, merged
 from asi_analysis.measures.oscillation import oscillation
 
-# Parts of the record that are judged beside the whole: start and end as shares of its samples.
+# Parts of the record, or of what is between two rests, that are judged beside the whole: start
+# and end as shares of the samples.
 PARTS: Final = ((0.0, 0.9), (0.1, 1.0), (0.0, 0.8), (0.2, 1.0), (0.05, 0.95), (0.1, 0.9))
 # Least mean probability at which a verdict stands.
 AGREED: Final = 0.5
@@ -40,12 +42,20 @@ def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list
         run = replace(run, reference_n=None)
     found = judge_once(run, name)
     passes = [found]
-    for part in _parts(run):
-        with suppress(InputError):   # too few samples
-            passes.append(judge_once(part, name))
+    for block in _blocks(found):
+        for part in _parts(run.between(block[0].start_s, block[-1].end_s + 0.5 * run.period_s)):
+            with suppress(InputError):   # too few samples
+                passes.append(judge_once(part, name))
     found = [_with_unforced(run, segment) if segment.verdict == 'forced' else segment
              for segment in merged([_agreed(segment, passes) for segment in found])]
     return found if undriven else [_unless_driven(run, segment) for segment in found]
+
+
+def _blocks(found: list[Segment]) -> Iterator[list[Segment]]:
+    """Yield the segments between two rests of the signal: each block is a record of its own."""
+    for resting, block in groupby(found, lambda segment: segment.why == AT_REST):
+        if not resting:
+            yield list(block)
 
 
 def _parts(run: Run) -> Iterator[Run]:
@@ -58,7 +68,7 @@ def _parts(run: Run) -> Iterator[Run]:
 
 def _agreed(segment: Segment, passes: list[list[Segment]]) -> Segment:
     """Return a segment with the mean confidence of all passes; below AGREED it is unsteady."""
-    if segment.why == 'the signal does not move':
+    if segment.why == AT_REST:
         return segment
     votes = [each for each in (_votes(segment, judged) for judged in passes) if each]
     mean = {word: sum(vote.get(word, 0.0) for vote in votes) / len(votes)

@@ -1,4 +1,4 @@
-"""Segmentation of a record: at changes of the reference, and of the envelope's growth rate."""
+"""Segmentation of a record: at rests, steps of the reference, changes of the growth rate."""
 
 from typing import Final
 
@@ -7,12 +7,18 @@ import numpy as np
 from asi_analysis.arrays import Array
 from asi_analysis.limit_cycle.detection.envelope import Envelope
 from asi_analysis.measures.quality import without_spikes
+from asi_analysis.measures.sinusoids.noise import autoregression
 
 # Least number of windows in a piece, and penalty of one more piece.
 SHORTEST_PIECE: Final = 3
 PENALTY: Final = 6.0
 # The first window is cut off, as a transient, if its residual is this multiple of the median.
 TRANSIENT: Final = 5.0
+# Least samples of a rest, least ratio of the deviations of the motion and of the rest, and of the
+# longest constant run at the edge over the others: a rounded signal rests at each peak.
+SHORTEST_REST: Final = 16
+MOVES: Final = 4.0
+LONGER_RUN: Final = 4.0
 
 
 def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> list[float]:
@@ -40,6 +46,53 @@ def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> li
     for begin, end in zip(moves[first], moves[last], strict=True):
         cuts |= {float(begin)} if end == begin else {float(begin - period), float(end)}
     return sorted(cuts)
+
+
+def active_part(values: Array) -> slice:
+    """
+    Return the samples between a rest at the beginning and one at the end, if there are any.
+
+    At rest there is only the noise of the sensor, or nothing: white noise of much less variance
+    than the rest of the record, or a constant for much longer than anywhere else.
+    """
+    first, end = 0, len(values)
+    for _ in range(2):   # a rest at one end may hide that at the other one
+        first += _rest(values[first:end])
+        end -= _rest(values[first:end][::-1])
+    return slice(first, end)
+
+
+def _rest(values: Array) -> int:
+    """
+    Return the number of samples at rest at the beginning: of white noise, or constant.
+
+    The change is where two normal distributions describe the values best.
+    """
+    count = len(values)
+    if count < 2 * SHORTEST_REST:
+        return 0
+    changes = np.flatnonzero(np.diff(values))
+    if not len(changes):
+        return 0
+    runs = np.diff(np.concatenate([changes, [count - 1]]))
+    constant = int(changes[0]) + 1
+    if constant >= max(SHORTEST_REST, LONGER_RUN * runs[:-1].max(initial=0)):
+        return constant
+    split = np.arange(SHORTEST_REST, count - SHORTEST_REST + 1).astype(float)
+    centred = values - values.mean()
+    sums, squares = np.cumsum(centred), np.cumsum(centred**2)
+
+    def variance(n: Array, total: Array, power: Array) -> Array:
+        return np.maximum(power / n - (total / n) ** 2, 1e-12 * squares[-1] / count)
+
+    total, power = (each[SHORTEST_REST - 1:count - SHORTEST_REST] for each in (sums, squares))
+    before = variance(split, total, power)
+    after = variance(count - split, sums[-1] - total, squares[-1] - power)
+    best = int(np.argmin(split * np.log(before) + (count - split) * np.log(after)))
+    rest = centred[:int(split[best])]
+    moves = after[best] > MOVES**2 * before[best]
+    white = not len(autoregression(rest - rest.mean()).coefficients)
+    return len(rest) if moves and white else 0
 
 
 def envelope_cuts(found: Envelope) -> list[float]:

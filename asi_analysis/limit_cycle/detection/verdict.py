@@ -40,6 +40,7 @@ from asi_analysis.measures.sinusoids.sinusoid import (
 
 TOO_SHORT: Final[tuple[str, float, str]] = (
     'unsteady', 0.5, f'fewer than {FEWEST_CYCLES:g} cycles')
+AT_REST: Final = 'the signal does not move'
 LINEAR: Final = ('steady over {:.3g} cycles, but a linear loop close to its stability limit is '
                  'not ruled out: record a longer or cleaner run')
 # Least share of the variance that a single sine explains if its phase is regular.
@@ -135,10 +136,19 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     found: list[Segment] = []
     for start, end in zip(edges[:-1], edges[1:], strict=True):
         part = slice(*np.searchsorted(time_s, [start, end]))
-        if part.stop - part.start > 1:
-            found += _judge_stretch(run, chosen, time_s, values, part,
-                                    frequency if len(edges) == 2 else None)
-    return merged(found)
+        if part.stop - part.start < 2:
+            continue
+        active = seg.active_part(values[part])
+        first, last = part.start + active.start, part.start + active.stop
+        whole = len(edges) == 2 and last - first == len(values)
+        for one in (slice(part.start, first), slice(last, part.stop)):
+            if one.start < one.stop:
+                found.append(Segment(
+                    float(time_s[one.start]), float(time_s[one.stop - 1]), 'noise', 1.0, chosen,
+                    run.unit(chosen), AT_REST, source=run.source))
+        found += _judge_stretch(run, chosen, time_s, values, slice(first, last),
+                                frequency if whole else None)
+    return merged(sorted(found, key=lambda segment: segment.start_s))
 
 
 def merged(found: list[Segment]) -> list[Segment]:
@@ -174,7 +184,7 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
 
     whole = (time_s[0], time_s[-1])
     if np.ptp(values) == 0.0:
-        return [segment(*whole, 'noise', 1.0, 'the signal does not move')]
+        return [segment(*whole, 'noise', 1.0, AT_REST)]
     if frequency is None:
         frequency = dominant_frequency(time_s, values)
     cycles = (time_s[-1] - time_s[0]) * frequency

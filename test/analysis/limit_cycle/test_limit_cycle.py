@@ -285,6 +285,23 @@ def test_rounding_or_holding_a_pure_sine_makes_no_limit_cycle():
         assert segment.verdict == 'unsteady' and segment.amplitude == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize('noise', [0.0, 0.01])
+def test_a_rest_before_or_after_a_short_cycle_changes_nothing(noise):
+    t = np.arange(500) / 100.0
+    wave = np.cos(2.0 * np.pi * t) + 0.1 * np.cos(6.0 * np.pi * t)
+    random = np.random.default_rng(1)
+    cycle = wave + 0.01 * random.standard_normal(t.size)
+    rest = 0.02 + noise * random.standard_normal(200)
+    time_s = np.arange(700) / 100.0
+    alone, = judge_run(undriven(t, cycle))
+    after = judge_run(undriven(time_s, np.concatenate([cycle, rest])))[0]
+    before = judge_run(undriven(time_s, np.concatenate([rest, cycle])))[-1]
+    for segment in (after, before):
+        assert segment.verdict == alone.verdict == 'limit_cycle'
+        assert segment.confidence == pytest.approx(alone.confidence, abs=0.02)
+        assert segment.amplitude == pytest.approx(alone.amplitude, rel=0.001)
+
+
 def test_times_that_repeat_or_run_back_are_left_out():
     run = _cycle(lambda t: np.ones(t.size), 'stutter')
     twice = Run(np.repeat(run.time_s, 2), force_n=np.repeat(run.force_n, 2))
