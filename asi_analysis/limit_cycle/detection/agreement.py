@@ -29,6 +29,9 @@ AGREED: Final = 0.5
 # Largest confidence in a limit cycle if no reference is recorded, which could drive the motion: if
 # the command responds to the output, and if no command is recorded either.
 UNDRIVEN: Final = {True: 0.8, False: 0.5}
+# Share of its amplitude that an oscillation keeps without the response to a drive, if that does not
+# explain it.
+UNEXPLAINED: Final = 0.9
 
 
 def judge_run(run: Run, name: str | None = None, undriven: bool = False) -> list[Segment]:
@@ -100,6 +103,11 @@ def _with_unforced(run: Run, segment: Segment) -> Segment:
     other = oscillation(run.between(segment.start_s, segment.end_s), segment.signal)
     if other.sustained is False or not np.isfinite(other.frequency_hz):
         return segment
+    if (abs(other.frequency_hz - segment.frequency_hz) < 1.0 / (segment.end_s - segment.start_s)
+            and other.amplitude_n > UNEXPLAINED * segment.amplitude):
+        return segment._replace(verdict='unsteady', confidence=AGREED, why=(
+            f'{segment.why}, but without the response to it the oscillation of '
+            f'{other.frequency_hz:.4g} Hz remains: locked to it, or a limit cycle'))
     course = 'sustained' if other.sustained else other.reason
     return segment._replace(why=(
         f'{segment.why}; in addition an oscillation of {other.frequency_hz:.4g} Hz and '

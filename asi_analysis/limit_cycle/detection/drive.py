@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from scipy import stats
 
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
@@ -18,6 +19,14 @@ from asi_analysis.measures.sinusoids.sinusoid import (
     valid_samples,
 )
 
+# Ratios (divisor, multiple) at which a nonlinear loop may answer a periodic drive; prior odds of
+# the drive's own frequency, and of each other ratio, against an oscillation of its own.
+RATIOS: Final = tuple((divisor, multiple) for divisor in (1, 2, 3) for multiple in (1, 2, 3, 5)
+                      if divisor == 1 or multiple % divisor)
+PRIOR_SAME: Final = 1.0
+PRIOR_RATIO: Final = 0.05
+# Error of a frequency by a transient that no fit describes, over the inverse duration.
+TRANSIENT: Final = 0.02
 # Delays, in cycles, of the copies of a drive to which the motion is fitted.
 DELAYS: Final = np.arange(-1, 9) / 4.0
 # Least share of the motion that a drive must explain.
@@ -36,20 +45,32 @@ def moving(run: Run, start_s: float, end_s: float) -> Iterator[tuple[str, tuple[
             yield drive.name, (t, values)
 
 
-def follows_drive(run: Run, steady: HarmonicFit, start_s: float, end_s: float) -> str:
-    """Return the reason why an oscillation follows a periodic drive; empty if it does not."""
+def follows_drive(run: Run, steady: HarmonicFit, start_s: float, end_s: float
+                  ) -> tuple[float, str]:
+    """
+    Return the probability that the frequency of an oscillation is that of a drive, and the reason.
+
+    Two hypotheses (Bayes): the frequency is a ratio times that of the drive, but for the errors of
+    both, or it is any frequency of the same order. A coincidence is likelier in a short record,
+    and at one of the many ratios other than 1.
+    """
+    tied, reason = 0.0, ''
     for name, values in moving(run, start_s, end_s):
         found = fit(*reduce(*values, steady.frequency_hz))
         if found is None or found.amplitude < found.noise:
             continue
-        deviation = np.hypot(found.frequency_sd_hz, steady.frequency_sd_hz)
-        tolerance = max(4.0 * deviation, 0.2 / (end_s - start_s))
-        for divisor in (1, 2, 3):
-            for multiple in (1, 2, 3, 5):
-                if abs(steady.frequency_hz - found.frequency_hz * multiple / divisor) < tolerance:
-                    ratio = '' if multiple == divisor == 1 else f' times {multiple}/{divisor}'
-                    return f'{name} moves at {found.frequency_hz:.5g} Hz{ratio} as well'
-    return ''
+        for divisor, multiple in RATIOS:
+            ratio = multiple / divisor
+            deviation = np.hypot(np.hypot(ratio * found.frequency_sd_hz, steady.frequency_sd_hz),
+                                 TRANSIENT / (end_s - start_s))
+            apart = steady.frequency_hz - ratio * found.frequency_hz
+            # The density of a free frequency is 1 over the frequency.
+            odds = (PRIOR_SAME if ratio == 1.0 else PRIOR_RATIO) * steady.frequency_hz * float(
+                stats.norm.pdf(apart, scale=deviation))
+            if odds > tied:
+                word = '' if ratio == 1.0 else f' times {multiple}/{divisor}'
+                tied, reason = odds, f'{name} moves at {found.frequency_hz:.5g} Hz{word} as well'
+    return tied / (1.0 + tied), reason
 
 
 def explained_by_drive(run: Run, time_s: Array, values: Array, frequency_hz: float

@@ -306,8 +306,9 @@ def _judge_line(run: Run, name: str, piece: Piece, earlier: list[Piece]
     """Return verdict, confidence and reason for a piece that oscillates, after earlier ones."""
     steady, moving = piece.steady, piece.moving
     assert steady is not None and moving is not None
-    if follows := drive.follows_drive(run, steady, piece.time_s[0], piece.time_s[-1]):
-        return 'forced', 0.99, follows
+    tied, follows = drive.follows_drive(run, steady, piece.time_s[0], piece.time_s[-1])
+    if tied > 0.5:
+        return 'forced', min(tied, 0.99), follows
     if forced := _forced(run, piece.time_s, piece.values, steady.frequency_hz):
         return forced[:3]
     change = abs(moving.rate) * (piece.time_s[-1] - piece.time_s[0])
@@ -321,7 +322,7 @@ def _judge_line(run: Run, name: str, piece: Piece, earlier: list[Piece]
     if growing >= LEAST_PROBABILITY:
         return 'growing', growing, f'the envelope grows at {moving.rate:.3g} 1/s'
     if limit_cycle >= LEAST_PROBABILITY and evidence:
-        return 'limit_cycle', limit_cycle, (
+        return 'limit_cycle', limit_cycle * (1.0 - tied), (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
             + evidence)
     if decay := _steady_decay(piece.time_s, piece.values, steady.frequency_hz):

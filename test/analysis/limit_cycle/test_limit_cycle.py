@@ -158,6 +158,20 @@ def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not(
     assert beside.frequency_hz == pytest.approx(40.0, abs=0.01)
 
 
+@pytest.mark.parametrize('ratio', [1 / 2, 1 / 5, 2 / 3])
+def test_a_cycle_whose_frequency_is_only_near_a_ratio_of_the_reference_is_not_forced(ratio):
+    t = np.arange(4000) / 1000.0
+    cycle = np.cos(2 * np.pi * 10 * t) + 0.1 * np.cos(2 * np.pi * 30 * t)
+    assert _moved(0.01 * np.sin(2 * np.pi * 10.02 * ratio * t), cycle).verdict == 'limit_cycle'
+
+
+def test_a_harmonic_of_the_reference_is_forced():
+    t = np.arange(4000) / 1000.0
+    reference = np.sin(2 * np.pi * 5 * t)
+    found = _moved(reference, 4.0 * reference ** 3 - 2.8 * reference)   # mostly at 15 Hz
+    assert found.verdict == 'forced' and found.frequency_hz == pytest.approx(15.0, abs=0.01)
+
+
 def _pushed(load, gain):
     return Run(*simulate_loop(load, {'gain': gain, 'reference.amplitude': 0.0}, 3.0),
                information={'actuator': load})
