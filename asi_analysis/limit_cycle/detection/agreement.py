@@ -29,8 +29,8 @@ AGREED: Final = 0.5
 # Largest confidence in a limit cycle if no reference is recorded, which could drive the motion: if
 # the command responds to the output, and if no command is recorded either.
 UNDRIVEN: Final = {True: 0.8, False: 0.5}
-# Share of its amplitude that an oscillation keeps without the response to a drive, if that does not
-# explain it.
+# Share of its amplitude that an oscillation keeps without the response to a drive, if the drive
+# does not explain it.
 UNEXPLAINED: Final = 0.9
 
 

@@ -22,6 +22,14 @@ DESCRIPTION_MARGIN: Final = 6.0
 NOISE_FLOOR_SHARE: Final = 10.0 ** (-2.5)
 # Above this THD the oscillation is at another frequency.
 MOST_THD: Final = 3.0
+# The highest line may be this harmonic; deviations by which a line is above the noise.
+SUBHARMONICS: Final = (2, 3)
+LINE: Final = 5.0
+# A line in the residual is named if its power is this multiple of the median of so many lines on
+# either side, and its size this share of the fundamental.
+HIGH_LINE: Final = 40.0
+BESIDE: Final = 20
+LEAST_LINE: Final = 0.02
 
 
 class Piece(NamedTuple):
@@ -52,7 +60,57 @@ def pieces_of(t: Array, y: Array, frequency: float) -> list[Piece]:
 
 
 def described(t: Array, y: Array, frequency: float, noise_floor: float) -> Piece:
-    """Return a piece as noise or as an oscillation, whichever has the shorter description."""
+    """
+    Return a piece as noise or as an oscillation, whichever has the shorter description.
+
+    The highest line may be the second or third harmonic: the half and the third of its frequency
+    are fundamentals if that is shorter.
+    """
+    best = _described_at(t, y, frequency, noise_floor, MOST_THD)
+    if best.steady is None:
+        return best
+    line, residual = best.steady.frequency_hz, y - best.steady.at(t)
+    least = LINE * float(np.std(residual)) * np.sqrt(2.0 / len(t))
+    for divisor in SUBHARMONICS:
+        fundamental = line / divisor
+        size = 2.0 / len(t) * abs(residual @ np.exp(-2j * np.pi * fundamental * t))
+        if size < least or fundamental * (t[-1] - t[0]) < FEWEST_CYCLES:
+            continue
+        # The harmonic that was the highest line may be much larger than the fundamental.
+        other = _described_at(t, y, fundamental, noise_floor, np.inf)
+        if (other.steady is not None and other.kind == 'line'
+                and abs(other.steady.frequency_hz - fundamental) < 0.5 / (t[-1] - t[0])
+                and other.steady.amplitude > LINE * other.steady.amplitude_sd
+                and other.description < best.description - DESCRIPTION_MARGIN):
+            best = other
+    return best
+
+
+def remaining_line(piece: Piece) -> str:
+    """Return which line the residual of an oscillation has, if it is far above the noise."""
+    if piece.steady is None:
+        return ''
+    even, period = on_grid(piece.time_s, piece.values - piece.steady.at(piece.time_s))
+    count = len(even)
+    power = np.abs(np.fft.rfft((even - even.mean()) * np.hanning(count))) ** 2
+    power[:2] = 0.0
+    # Beside the fundamental and its harmonics a slow change of the amplitude leaves lines.
+    order = np.fft.rfftfreq(count, period) / piece.steady.frequency_hz
+    power[np.abs(order - np.round(order)) * piece.steady.cycles < 4.0] = 0.0
+    peak = int(np.argmax(power))
+    near = power[max(peak - BESIDE, 0):peak + BESIDE + 1]
+    near = near[near > 0.0]
+    if len(near) < BESIDE or power[peak] < HIGH_LINE * np.median(near):
+        return ''
+    size = 4.0 * np.sqrt(power[peak]) / count   # of a Hann window
+    if size < LEAST_LINE * piece.steady.amplitude:
+        return ''
+    return f'; beside it a line of {peak / (count * period):.4g} Hz with {size:.3g}'
+
+
+def _described_at(t: Array, y: Array, frequency: float, noise_floor: float, most_thd: float
+                  ) -> Piece:
+    """Return a piece as noise or as an oscillation of a fundamental frequency."""
     added = noise_floor * np.random.default_rng(len(y)).standard_normal(len(y))
 
     def describe(residual: Array, parameters: int) -> Autoregression:
@@ -65,7 +123,7 @@ def described(t: Array, y: Array, frequency: float, noise_floor: float) -> Piece
     for oscillation, nonlinear in ((steady, 1), (moving, 3)):
         if oscillation is None or oscillation.cycles < 0.8 * FEWEST_CYCLES:
             continue
-        if oscillation.thd > MOST_THD:
+        if oscillation.thd > most_thd:
             continue
         # One parameter more, as the frequency was searched among as many as there are samples.
         parameters = len(oscillation.drift) + 2 * len(oscillation.harmonics) + nonlinear + 1

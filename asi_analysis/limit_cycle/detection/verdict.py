@@ -27,9 +27,11 @@ from asi_analysis.limit_cycle.detection.pieces import (
     described,
     figures_of,
     pieces_of,
+    remaining_line,
 )
 from asi_analysis.limit_cycle.detection.resolution import exceeds_rounding, one_of_each
 from asi_analysis.limit_cycle.detection.steadiness import steadiness
+from asi_analysis.measures.oscillation import MOST_DECAY
 from asi_analysis.measures.quality import check_size, check_time
 from asi_analysis.measures.sinusoids.record import reduce
 from asi_analysis.measures.sinusoids.sinusoid import (
@@ -51,8 +53,6 @@ LEAST_DAMPING: Final = 1e-8
 MOST_DAMPING: Final = 0.1
 # Prior odds of a linear loop against a limit cycle, given evidence of a nonlinearity.
 LINEAR_ODDS: Final = 0.02
-# Relative change of the amplitude over a nonlinear record that does not count as decay.
-STEADY_CHANGE: Final = 0.03
 # Least probability of a verdict.
 LEAST_PROBABILITY: Final = 0.9
 # Cycles that an orbit must last after its approach to be called settled.
@@ -212,6 +212,8 @@ def _judge_stretch(run: Run, name: str, all_times: Array, all_values: Array, par
         earlier = slice(np.searchsorted(all_times, start))
         came_from = _came_from((all_times[earlier], all_values[earlier]), piece)
         verdict, confidence, why = _judge_line(run, name, piece, pieces[:index])
+        if verdict in ('limit_cycle', 'unsteady'):
+            why += remaining_line(piece)
         found.append(segment(start, end, verdict, confidence, why, came_from=came_from,
                              **figures_of(piece)))
     return found
@@ -324,11 +326,20 @@ def _judge_line(run: Run, name: str, piece: Piece, earlier: list[Piece]
     if limit_cycle >= LEAST_PROBABILITY and evidence:
         return 'limit_cycle', limit_cycle * (1.0 - tied), (
             f'steady over {steady.cycles:.3g} cycles, and a linear loop is ruled out by '
-            + evidence)
+            + evidence + _drift(piece))
     if decay := _steady_decay(piece.time_s, piece.values, steady.frequency_hz):
         return decay
     return ('unsteady', 1.0 - 0.5 * max(limit_cycle, decaying, growing),
             LINEAR.format(steady.cycles))
+
+
+def _drift(piece: Piece) -> str:
+    """Return by how much the amplitude of a sustained oscillation drifts, if it clearly does."""
+    moving = piece.moving
+    if moving is None or abs(moving.rate) < CLEAR * moving.rate_sd:
+        return ''
+    change = np.expm1(moving.rate * (piece.time_s[-1] - piece.time_s[0]))
+    return f'; its amplitude drifts by {100.0 * change:+.2g} %' if abs(change) > 0.01 else ''
 
 
 def _steady_decay(t: Array, y: Array, frequency: float) -> tuple[str, float, str] | None:
@@ -378,7 +389,9 @@ def _decay_probabilities(piece: Piece, nonlinear: bool) -> tuple[float, float, f
     deviation = max(moving.rate_sd / pulsation, 1e-9)
     tolerance, prior = 0.0, 1.0
     if nonlinear:
-        tolerance = STEADY_CHANGE / (pulsation * (piece.time_s[-1] - piece.time_s[0]))
+        # Of the damping ratio; a conservative loop with little friction also has harmonics.
+        tolerance = min(MOST_DECAY / (2.0 * np.pi),
+                        LEAST_DECAY / (pulsation * (piece.time_s[-1] - piece.time_s[0])))
         prior = LINEAR_ODDS
     distribution = stats.t(max(moving.freedom, 3), scale=deviation)
     beyond = max(abs(measured) - tolerance, 0.0)

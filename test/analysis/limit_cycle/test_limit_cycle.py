@@ -19,6 +19,7 @@ from asi_analysis.limit_cycle.detection.feedback import follows_a_law
 from asi_analysis.limit_cycle.detection.resolution import quantisation
 from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
+from asi_analysis.measures.oscillation import oscillation
 from asi_analysis.measures.sinusoids.noise import BLOCK, _triangle_of_lags
 from asi_analysis.measures.sinusoids.record import compressed, reduce, uncompressed
 from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, fit_record
@@ -168,7 +169,7 @@ def test_a_cycle_whose_frequency_is_only_near_a_ratio_of_the_reference_is_not_fo
 def test_a_harmonic_of_the_reference_is_forced():
     t = np.arange(4000) / 1000.0
     reference = np.sin(2 * np.pi * 5 * t)
-    found = _moved(reference, 4.0 * reference ** 3 - 2.8 * reference)   # mostly at 15 Hz
+    found = _moved(reference, 3.0 * reference - 4.0 * reference ** 3)   # at 15 Hz
     assert found.verdict == 'forced' and found.frequency_hz == pytest.approx(15.0, abs=0.01)
 
 
@@ -314,6 +315,37 @@ def test_a_rest_before_or_after_a_short_cycle_changes_nothing(noise):
         assert segment.verdict == alone.verdict == 'limit_cycle'
         assert segment.confidence == pytest.approx(alone.confidence, abs=0.02)
         assert segment.amplitude == pytest.approx(alone.amplitude, rel=0.001)
+
+
+@pytest.mark.parametrize('size', [0.9, 0.3])
+def test_a_second_harmonic_larger_than_the_fundamental_is_none(size):
+    t = np.arange(2000) / 100.0
+    wave = size * np.cos(8 * np.pi * t) + np.cos(16 * np.pi * t + 1) + 0.2 * np.cos(24 * np.pi * t)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    found, = judge_once(undriven(t, wave + noise))
+    assert found.verdict == 'limit_cycle'
+    assert found.frequency_hz == pytest.approx(4.0, abs=1e-3)
+    assert found.amplitude == pytest.approx(size, rel=0.01)
+
+
+def test_a_line_beside_the_oscillation_is_named():
+    t = np.arange(2000) / 100.0
+    wave = np.cos(10.0 * np.pi * t) + 0.2 * np.cos(26.6 * np.pi * t)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(t.size)
+    found, = judge_once(undriven(t, wave + noise))
+    assert found.verdict == 'unsteady' and 'a line of 13.3 Hz with 0.2' in found.why
+
+
+@pytest.mark.parametrize('drift, verdict', [(0.1, 'limit_cycle'), (0.5, 'decaying')])
+def test_a_cycle_may_drift_as_little_as_a_sustained_oscillation(drift, verdict):
+    t = np.arange(4000) / 200.0
+    wave = np.cos(10 * np.pi * t) + 0.1 * np.cos(30 * np.pi * t)
+    noise = 0.005 * np.random.default_rng(1).standard_normal(t.size)
+    run = undriven(t, (1.0 - drift * t / 20.0) * wave + noise)
+    found, = judge_run(run)
+    assert found.verdict == verdict
+    assert oscillation(run).sustained is (verdict == 'limit_cycle')
+    assert ('drifts by -9.9 %' in found.why) is (drift == 0.1)
 
 
 def test_times_that_repeat_or_run_back_are_left_out():
