@@ -19,6 +19,7 @@ from asi_analysis.limit_cycle.attribution.classifier import (
 )
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
+from asi_analysis.limit_cycle.detection.feedback import levels_of
 from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
 from asi_analysis.measures.quality import Trust, findings, quality_of, trust
 from asi_analysis.terminal import Progress, silent
@@ -177,13 +178,34 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
     found = shape_of(run, document, signal)
     document['frequency_hz'] = found.frequency_hz
     part = _part_of(run, document)
-    chances = agreed_probabilities(part, response_of(part, signal)[0], found)
+    chances = _weighed(agreed_probabilities(part, response_of(part, signal)[0], found),
+                       part, segment)
     causes = [{'nonlinearity': cause, 'necessary': None, 'sufficient': None, 'share': None,
                'probability': chance, 'unexplained': _unexplained(found, cause)}
               for cause, chance in chances.items()]
     return _marked(document | {'causes': [EMPTY | cause for cause in causes],
                                'verdict': _shape_verdict(chances, found, segment)},
                    samples, run, signal)
+
+
+def _weighed(chances: dict[str, float], part: Run, segment: Segment) -> dict[str, float]:
+    """
+    Return the probabilities by shape, given what the command and the detection show.
+
+    The training set has no switching controller; its command has two or three levels. A limit
+    cycle that comes from within the loop is no disturbance from outside, and vice versa.
+    """
+    assert part.command_n is not None
+    cycle = segment.confidence if segment.verdict == 'limit_cycle' else 0.5
+    if levels_of(part.command_n):
+        chances = {name: (1.0 - cycle) * chance for name, chance in chances.items()}
+        chances |= {'switching_controller': cycle}
+    elif segment.verdict == 'limit_cycle':
+        # Where the two disagree, the shape is of a kind that was not trained: any other cause.
+        surplus = max(chances['disturbance'] - (1.0 - 0.5 * cycle), 0.0)
+        chances = {name: chance - surplus if name == 'disturbance'
+                   else chance + surplus / (len(chances) - 1) for name, chance in chances.items()}
+    return dict(sorted(chances.items(), key=lambda item: -item[1]))
 
 
 def _marked(document: dict[str, Any], samples: Trust, run: Run, signal: str | None) -> Attribution:
@@ -216,8 +238,8 @@ def _shape_verdict(chances: dict[str, float], found: Shape, segment: Segment) ->
 
 
 def _words(cause: str) -> str:
-    return {'tight_tuning': 'tight linear tuning', 'disturbance': 'an outside disturbance'}.get(
-        cause, cause)
+    return {'tight_tuning': 'tight linear tuning', 'disturbance': 'an outside disturbance',
+            'switching_controller': 'a switching controller'}.get(cause, cause)
 
 
 def _by_model(run: Run, segment: Segment, progress: Progress) -> dict[str, Any]:

@@ -19,8 +19,9 @@ from asi_analysis.limit_cycle.attribution.ablation import (
     shapley,
 )
 from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
-from asi_analysis.limit_cycle.attribution.recording import attribute_cycle
+from asi_analysis.limit_cycle.attribution.recording import _weighed, attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
+from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.reporting.report import write_pictures
@@ -230,3 +231,23 @@ def test_a_step_of_our_actuator_that_settles_has_no_oscillation_to_attribute():
     run = simulate({}, {'compensator': 'lead_lag', 'gain': 6.0, 'reference.amplitude': 300.0}, 0.5)
     with pytest.raises(InputError, match='no oscillation of its own.*fewer than 3 cycles'):
         attribute_cycle(run)
+
+
+def test_a_switching_controller_is_told_by_its_command():
+    command, x, rows = 1.0, np.array([0.5, 0.0, 0.0]), []
+    for k in range(3000):      # an on-off controller with hysteresis and three lags
+        command = -1.0 if x[2] > 0.05 else 1.0 if x[2] < -0.05 else command
+        rows.append((0.02 * k, command, x[2]))
+        x = x + 0.02 * np.array([command - x[0], x[0] - x[1], x[1] - x[2]])
+    time_s, command_n, force_n = np.array(rows[1000:]).T
+    found = attribute_cycle(Run(time_s, np.zeros(2000), command_n, force_n))
+    assert found.causes[0]['nonlinearity'] == 'switching_controller'
+    assert found.causes[0]['probability'] > 0.9 and 'a switching controller' in found.verdict
+    assert sum(cause['probability'] for cause in found.causes) == pytest.approx(1.0)
+
+
+def test_a_cycle_of_the_loop_is_no_disturbance_as_surely():
+    shape_alone = {'disturbance': 0.95, 'stiction': 0.05}
+    segment = Segment(0.0, 1.0, 'limit_cycle', 0.99, 'force', 'N', '')
+    weighed = _weighed(shape_alone, Run(np.arange(9.0), command_n=np.arange(9.0)), segment)
+    assert weighed['disturbance'] == pytest.approx(0.505) and sum(weighed.values()) == 1.0
