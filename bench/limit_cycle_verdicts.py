@@ -193,6 +193,76 @@ def white(random: Random) -> Run:
     return Run(np.arange(n, dtype=np.float64) * 0.01, force_n=random.standard_normal(n))
 
 
+def with_rests(run: Run, before: float, after: float) -> Run:
+    """Return a run with a rest, in shares of its length, before and after it."""
+    count = len(run)
+    first, last = round(before * count), round(after * count)
+    t = np.arange(first + count + last) * run.period_s
+
+    def padded(values: Array | None) -> Array | None:
+        return None if values is None else np.concatenate([
+            np.full(first, values[0]), values, np.full(last, values[-1])])
+
+    return Run(t, padded(run.reference_n), padded(run.command_n), padded(run.force_n))
+
+
+def rested_cycle(random: Random) -> Run:
+    """Return a Van der Pol oscillator on its cycle, from 5 cycles on, with rests at the ends."""
+    mu = random.uniform(0.3, 3.0)
+    run = _oscillator(random, mu, 0.0, 2.0, 50.0 + 20.0 / mu, 5.0)
+    return with_rests(run, random.uniform(0.0, 0.5), random.uniform(0.0, 0.5))
+
+
+def _sine(random: Random, samples_a_cycle: float) -> tuple[Array, Array]:
+    """Return a sine of 8 to 80 cycles of 1 s."""
+    t = np.arange(int(random.uniform(8.0, 80.0) * samples_a_cycle)) / samples_a_cycle
+    return t, np.cos(2.0 * np.pi * t + random.uniform(0.0, 6.0))
+
+
+def rounded_sine(random: Random) -> Run:
+    """Return a sine that is recorded with 4 to 60 levels, with or without noise before."""
+    t, y = _sine(random, random.uniform(12.0, 60.0))
+    step = 2.0 / random.uniform(4.0, 60.0)
+    noise = random.choice([0.0, 0.3]) * step * random.standard_normal(len(t))
+    return undriven(t, step * np.round((y + noise) / step))
+
+
+def slow_sine(random: Random) -> Run:
+    """Return a sine of a slow sensor, held or joined by straight lines at ten times its rate."""
+    t, y = _sine(random, random.uniform(6.0, 20.0))
+    fine = np.arange(10 * len(t) - 9) * (t[1] / 10.0)
+    held = np.repeat(y, 10)[:len(fine)]
+    return undriven(fine, held if random.random() < 0.5 else np.interp(fine, t, y))
+
+
+def ringing(random: Random) -> Run:
+    """Return a linear loop that rings, hardly damped, after a step of its reference."""
+    rate, cycles = random.uniform(12.0, 60.0), random.uniform(10.0, 60.0)
+    t = np.arange(int(cycles * rate)) / rate - random.uniform(0.1, 0.5) * cycles
+    y = np.where(t > 0.0, 1.0 - np.exp(-random.choice([0.0, 1e-5]) * t) * np.cos(
+        2.0 * np.pi * t), 0.0)
+    return Run(t - t[0], np.where(t > 0.0, 1.0, 0.0), None, _noisy(y, random))
+
+
+def open_loop(random: Random) -> Run:
+    """Return a linear process that a square wave or a triangle drives; its reference rests."""
+    t = np.arange(int(random.uniform(10.0, 60.0) * 100.0)) / 100.0
+    wave = signal.square(2.0 * np.pi * t) if random.random() < 0.5 else signal.sawtooth(
+        2.0 * np.pi * t, 0.5)
+    pulsation = random.uniform(5.0, 40.0)
+    process = signal.lti([pulsation ** 2], [1.0, pulsation, pulsation ** 2])
+    y = signal.lsim(process, wave, t)[1]
+    return undriven(t, _noisy(np.asarray(y), random), wave)
+
+
+def strong_second(random: Random) -> Run:
+    """Return a cycle whose second harmonic is larger than its fundamental."""
+    t, _ = _sine(random, random.uniform(20.0, 60.0))
+    y = sum(size * np.cos(2.0 * np.pi * order * t + random.uniform(0.0, 6.0))
+            for order, size in ((1, random.uniform(0.3, 0.9)), (2, 1.0), (3, 0.2)))
+    return undriven(t, _noisy(np.asarray(y), random))
+
+
 FAMILIES: Final[dict[str, tuple[Callable[[Random], Run], str]]] = {
     'Van der Pol': (van_der_pol, 'limit_cycle'),
     'Van der Pol, approach': (van_der_pol_approach, 'limit_cycle'),
@@ -205,6 +275,12 @@ FAMILIES: Final[dict[str, tuple[Callable[[Random], Run], str]]] = {
     'driven linear loop': (forced, 'forced'),
     'noise with a resonance': (resonance, 'noise'),
     'white noise': (white, 'noise'),
+    'cycle between rests': (rested_cycle, 'limit_cycle'),
+    'cycle, second harmonic larger': (strong_second, 'limit_cycle'),
+    'rounded sine': (rounded_sine, 'unsteady'),
+    'sine of a slow sensor': (slow_sine, 'unsteady'),
+    'ringing after a step': (ringing, 'unsteady'),
+    'square wave, open loop': (open_loop, 'unsteady'),
 }
 
 
@@ -231,11 +307,12 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
 
 
 def changes(run: Run) -> Iterator[Run]:
-    """Yield a run without a tenth at either end, with every second sample, and with an offset."""
+    """Yield a run cut at either end, with every second sample, with an offset, with a rest."""
     assert run.force_n is not None
     tenth = len(run) // 10
     yield from (run[tenth:], run[:-tenth], run[::2],
-                replace(run, force_n=run.force_n + 10.0 * np.std(run.force_n)))
+                replace(run, force_n=run.force_n + 10.0 * np.std(run.force_n)),
+                with_rests(run, 0.0, 0.2))
 
 
 def main_verdict(run: Run) -> tuple[str, float]:

@@ -128,12 +128,15 @@ def _unless_driven(run: Run, segment: Segment) -> Segment:
     share = feedback.explained_by_output(run, *place)
     ask = 'if nothing drove it from outside, say --undriven'
     known = 'no reference is recorded' if run.reference_n is None else 'the reference rests'
-    if share is not None and share < feedback.CLOSED and not feedback.follows_a_law(run, *place):
+    answers = share is None or share > feedback.CLOSED
+    if share is not None and not answers and not feedback.follows_a_law(run, *place):
         return segment._replace(verdict='unsteady', confidence=AGREED, why=(
             f'driven open loop, or a limit cycle: {known}, and the command does not answer the '
             f'output, which explains {100 * share:.0f} % of its innovation; {ask}'))
     if run.reference_n is not None:
-        return segment
+        if answers or not feedback.switches(run, segment.start_s, segment.end_s):
+            return segment
+        known = 'its command switches as regularly as a recorded course'
     return segment._replace(
         confidence=min(segment.confidence, UNDRIVEN[share is not None]),
         why=f'{segment.why}; unless it is driven, since {known}: {ask}')

@@ -48,6 +48,16 @@ def follows_a_law(run: Run, name: str, start_s: float, end_s: float, frequency_h
     return _is_pi_law(t, command, output, frequency_hz)
 
 
+def switches(run: Run, start_s: float, end_s: float) -> bool:
+    """
+    Return whether the command has the levels of a relay.
+
+    If these repeat exactly, so do the outputs at which it switches, in an open loop too.
+    """
+    command = run.between(start_s, end_s + 0.5 * run.period_s).command_n
+    return command is not None and levels_of(command) > 0
+
+
 def levels_of(command: Array) -> int:
     """Return the number of levels of a switching controller's command; 0 if it is none."""
     levels = np.unique(command[np.isfinite(command)])

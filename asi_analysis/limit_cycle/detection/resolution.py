@@ -53,7 +53,7 @@ def exceeds_rounding(found: HarmonicFit, time_s: Array, values: Array) -> bool:
     step = quantisation(values)
     order = np.arange(2, min(len(found.harmonics), LOW_HARMONICS) + 1)
     sizes = np.abs(found.harmonics[order - 1])
-    least = 4.0 * found.noise * np.sqrt(2.0 / len(values))
+    least = max(4.0 * found.noise * np.sqrt(2.0 / len(values)), ROUNDING * found.amplitude)
     if step:
         turn = np.exp(2j * np.pi * found.frequency_hz * (time_s - found.origin_s))
         wave = (found.harmonics[0] * turn).real

@@ -81,7 +81,7 @@ def test_each_family_gets_its_verdict(family):
     assert row['false_limit_cycles'] == 0
 
 
-@pytest.mark.parametrize('family', ['Van der Pol', 'relay feedback', 'driven linear loop',
+@pytest.mark.parametrize('family', ['Van der Pol', 'cycle between rests', 'driven linear loop',
                                     'white noise'])
 def test_a_sure_verdict_survives_cuts_decimation_and_an_offset(family):
     row = check_robustness(family, count=1, seed=5)
@@ -231,8 +231,8 @@ def test_a_reference_at_rest_is_no_proof_of_a_closed_loop(reference):
 def test_a_loop_that_repeats_itself_is_closed_if_a_law_of_the_output_gives_the_command():
     t = np.arange(2000) / 100.0
     random = np.random.default_rng(3)
-    run = relay(random)
-    assert judge_run(run)[-1].confidence > 0.9
+    segment = judge_run(relay(random))[-1]   # or a square wave, into a process that lags
+    assert segment.verdict == 'limit_cycle' and segment.confidence == 0.8
     triangle = signal.sawtooth(2.0 * np.pi * 0.51 * t, 0.5)
     action = 1.2 * triangle + 3.0 * np.cumsum(triangle) * 0.01
     output = triangle + 0.01 * random.standard_normal(t.size)
