@@ -3,9 +3,8 @@
 import itertools
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -35,7 +34,6 @@ from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
-from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
 from asi_analysis.gap.inference.lower_band import with_lower_band
@@ -48,13 +46,7 @@ from asi_analysis.gap.inference.probability import (
 from asi_analysis.gap.inference.simulated.own_laws import OwnLaws, by_own_laws
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.simulated.uneven_delay import how_uneven
-from asi_analysis.gap.inference.uncertainty import (
-    Likelihood,
-    at_limit,
-    interval,
-    likelihood,
-)
-from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, Free, block_of
+from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.group import (
     SIMULATOR_ERROR,
     TOLERANCE,
@@ -62,15 +54,17 @@ from asi_analysis.gap.model.group import (
     Group,
     with_tolerances,
 )
-from asi_analysis.gap.model.joint import OF_ANY_SIZE, drive_of, joint_groups
+from asi_analysis.gap.model.joint import OF_ANY_SIZE, WHOLE, Extent, drive_of, joint_groups
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.simulator import (
     VALVE_ERROR,
     has_linear_laws,
     of_simulator,
 )
-from asi_analysis.gap.model.static import static_group, zero_of
-from asi_analysis.gap.words import DOTTED, UNITS, signal_of, unit_of, unit_of_free
+from asi_analysis.gap.model.static import static_group
+from asi_analysis.gap.prepare import shared_band
+from asi_analysis.gap.sizes import limits_of, sizes_of
+from asi_analysis.gap.words import DOTTED, signal_of, unit_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name
@@ -104,6 +98,7 @@ class Diagnosis:
     # With a baseline: the diagnosis of the healthy recordings, and their machine, by channels.
     healthy: 'Diagnosis | None' = None
     machine: Mapping[tuple[str, ...], Healthy] = field(default_factory=dict)
+    extent: Extent = WHOLE         # of a joint
 
     def best(self, weighed: Weighed) -> Candidate:
         """Return the hypothesis of a group that agrees with the verdict, but for `unknown`."""
@@ -128,18 +123,13 @@ def _parts(groups: Sequence[Weighed], names: Names) -> tuple[Names, ...]:
 
 
 def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, tolerance: float,
-            held_out: Sequence[bool], drive: str | None, healthy: Diagnosis | None
-            ) -> tuple[list[Group], list[Group], list[str]]:
+            held_out: Sequence[bool], drive: str | None, healthy: Diagnosis | None,
+            extent: Extent) -> tuple[list[Group], list[Group], list[str]]:
     """Return the groups of channels, the same with the simulator as predictor, and notes."""
     simulated: list[Group] = []
     before = healthy.runs if healthy else []
     if plant == 'joint':
-        known, weight = dict(model), (0.0, 0.0)
-        for record in _records(healthy)[-1:] if healthy else ():
-            known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
-            weight = float(record['gravity_sine']), float(record['gravity_cosine'])
-        groups, notes = joint_groups(runs, known, tolerance, held_out,
-                                     drive or drive_of(before or runs), before, weight)
+        groups, notes = _joint(runs, model, tolerance, held_out, drive, healthy, extent)
     elif plant == 'static':
         group, notes = static_group(runs, model, tolerance, held_out, before)
         groups = [group]
@@ -149,6 +139,45 @@ def _groups(runs: Sequence[Run], model: Mapping[str, Value], plant: str, toleran
                                      tolerance)
     return groups, simulated, [
         note for run in runs for note in plausibility.check_signals(run)] + notes
+
+
+def _joint(runs: Sequence[Run], model: Mapping[str, Value], tolerance: float,
+           held_out: Sequence[bool], drive: str | None, healthy: Diagnosis | None, extent: Extent
+           ) -> tuple[list[Group], list[str]]:
+    """Return the groups of channels of a joint, and notes."""
+    before = healthy.runs if healthy else []
+    known, weight = dict(model), (0.0, 0.0)
+    for record in _records(healthy)[-1:] if healthy else ():
+        known |= {name: float(record[field_name(name)]) for name in OF_ANY_SIZE}
+        weight = float(record['gravity_sine']), float(record['gravity_cosine'])
+    return joint_groups(runs, known, tolerance, held_out, drive or drive_of(before or runs),
+                        before, weight, extent)
+
+
+def _in_one_band(runs: Sequence[Run], healthy: Diagnosis | None, drive: str, extent: Extent,
+                 again: Callable[[Sequence[Run], Extent], Diagnosis]
+                 ) -> tuple[Extent, Diagnosis | None]:
+    """
+    Return the extent of a joint with the band that all its recordings have in common.
+
+    And the healthy machine fitted in that band, by `again` if it was another: in a wider one it
+    has other parameters, which is no change.
+    """
+    if drive != 'force':
+        return extent, healthy
+    before = healthy.runs if healthy else ()
+    extent = extent._replace(band_hz=min(extent.band_hz, shared_band([*before, *runs], drive)))
+    if healthy and healthy.extent.band_hz > extent.band_hz:
+        healthy = again(before, extent._replace(hidden=healthy.extent.hidden))
+    # Its load rattles: it was fitted in a lower band.
+    return (extent._replace(band_hz=min(extent.band_hz, healthy.extent.band_hz)) if healthy else
+            extent), healthy
+
+
+def _machine_of(healthy: Diagnosis, own: Mapping[str, float]) -> dict[tuple[str, ...], Healthy]:
+    """Return the healthy machine by channels; own: tolerances by field."""
+    return {w.group.channels: healthy_of(healthy.best(w).fitted, healthy.tolerance, own)
+            for w in healthy.groups}
 
 
 def improved_of(diagnosis: Diagnosis, model: Mapping[str, Value]) -> dict[str, Value]:
@@ -165,7 +194,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
              tolerance: float = TOLERANCE, held_out: Sequence[bool] | None = None,
              drive: str | None = None, report: Progress = silent,
              tolerances: Mapping[str, float] = MappingProxyType({}),
-             healthy: Diagnosis | None = None, simulate: bool = True) -> Diagnosis:
+             healthy: Diagnosis | None = None, simulate: bool = True,
+             extent: Extent = WHOLE) -> Diagnosis:
     """
     Return where recordings differ from their nominal model, why, and by how much a fit helps.
 
@@ -173,11 +203,16 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     tolerance of the nominal parameters, as a share; held_out: which runs are used for validation
     only; drive: of a joint, 'force' or 'position'; None: found from the signals; tolerances: of
     single parameters, by dotted name. healthy: the diagnosis of other recordings: what has changed
-    since them is found. simulate: the simulator itself is tried first as the predictor.
+    since them is found. simulate: the simulator itself is tried first as the predictor. extent: of
+    a joint; the band is at most that which all recordings, healthy ones too, have in common.
     Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
-    groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy)
+    if plant == 'joint':
+        drive = drive or drive_of(healthy.runs if healthy else runs)
+        extent, healthy = _in_one_band(runs, healthy, drive, extent, lambda of, to: diagnose(
+            of, model, plant, tolerance, None, drive, report, tolerances, extent=to))
+    groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy, extent)
     own = {field_name(name): share for name, share in tolerances.items()}
     uncertain = sorted({DOTTED.get(free.field, free.field) for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'}
@@ -196,8 +231,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             healthy = diagnose(healthy.runs, model, plant, tolerance, report=report,
                                tolerances=tolerances, simulate=False)
     if healthy is not None:
-        machine = {w.group.channels: healthy_of(healthy.best(w).fitted, tolerance, own)
-                   for w in healthy.groups}
+        machine = _machine_of(healthy, own)
         simulated = [against(group, machine) for group in simulated] if (
             of_simulator(healthy.groups[0].group.nominal)) else []
         groups = groups if simulated else [against(group, machine) for group in groups]
@@ -241,13 +275,21 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             elif plant == 'joint':
                 plausibility.check_joint(group)
         weighed = weigh_groups(groups, tick, answered)
-        if plant == 'joint' and healthy is None:
-            made = partial(joint_groups, runs, dict(model), tolerance, out,
-                           drive or drive_of(runs))
-            weighed, more = with_hidden_load(weighed, partial(made, hidden=True), own, tick)
-            weighed, rattles = with_lower_band(
-                weighed, lambda band_hz: made(band_hz=band_hz)[0], own, tick)
-            notes += more + rattles
+        if plant == 'joint':
+            tried: dict[Extent, tuple[Diagnosis | None, dict[tuple[str, ...], Healthy]]] = {}
+
+            def made(to: Extent) -> Sequence[Group]:
+                was = healthy and diagnose(healthy.runs, model, plant, tolerance, None, drive,
+                                           report, tolerances, extent=to)
+                tried[to] = was, _machine_of(was, own) if was else {}
+                others, _ = _joint(runs, model, tolerance, out, drive, was, to if not was else
+                                   to._replace(band_hz=min(to.band_hz, was.extent.band_hz)))
+                return [against(each, tried[to][1]) for each in others] if was else others
+
+            for other in (with_hidden_load, with_lower_band):
+                weighed, more, extent = other(weighed, made, extent, own, tick)
+                notes += more
+            healthy, machine = tried.get(extent, (healthy, machine))
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:
@@ -273,7 +315,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     notes += [NOT_WHITE.format(signal_of(channel, runs[0], plant).replace('_', ' '))
               for each in weighed for channel in not_white(each.group)]
     answer = Diagnosis(runs, plant, tolerance, own, weighed, joined, verdict, [], notes, None,
-                       None, healthy, machine)
+                       None, healthy, machine, extent)
     notes += filter(None, (of(answer.best(each)) for each in weighed
                            for of in (place_of_gap, how_uneven)))
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
@@ -330,68 +372,6 @@ def main_shrink(diagnosis: Diagnosis) -> Shrink:
     return max([shrink for shrink in shown if shrink.channel in named] or shown, key=explained)
 
 
-def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]] | None:
-    """Return the fit of the best hypothesis that holds an effect, and the effect's parameters."""
-    # Of an effect in several groups of channels: the one in which it is most probable.
-    for weighed in sorted(diagnosis.groups, reverse=True,
-                          key=lambda w: marginals(w.probability).get(name, 0.0)):
-        holding = [candidate for names, candidate in weighed.candidates.items() if name in names]
-        if holding:
-            own = diagnosis.best(weighed)
-            chosen = own if name in own.names else max(
-                holding, key=lambda c: weighed.probability.get(c.names, 0.0))
-            effect = next(e for e in weighed.group.effects if e.name == name)
-            return chosen.fitted, tuple(free for variant in effect.variants
-                                        if variant in chosen.variants for free in variant.free)
-    return None
-
-
-def _sizes(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Return the fitted parameters of effects, by effect: values, intervals, units, limits."""
-    known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
-    sizes: dict[str, dict[str, Any]] = {}
-    for name in names:
-        row: dict[str, Any] = {key: {} for key in (
-            'parameters', 'parameters_low', 'parameters_high', 'units', 'nominal', 'tolerance')}
-        sizes[name] = row | {'at_limit': []}
-        fitted, frees = _holding(diagnosis, name) or (None, ())
-        if fitted is None:
-            continue
-        if id(fitted) not in known:
-            known[id(fitted)] = likelihood(fitted)
-        group = fitted.problem.group
-        of_the_effect = {free.field: free for free in frees}
-        for free, share in zip(fitted.free, fitted.theta, strict=True):
-            if (field := free.field) not in of_the_effect:
-                continue
-            zero = zero_of(group, field)
-            row['parameters'][field] = fitted.values[field] + zero
-            row['parameters_low'][field], row['parameters_high'][field] = (
-                each + zero for each in interval(fitted, known[id(fitted)], field))
-            own = of_the_effect[field]
-            row['units'][field] = unit_of_free(own, group.channels[0], diagnosis.runs[0],
-                                               diagnosis.plant)
-            if own.scale == 'nominal':
-                row['nominal'][field] = float(group.as_given[field])
-                row['tolerance'][field] = diagnosis.tolerances.get(field, diagnosis.tolerance)
-            if share > 1.0 - AT_LIMIT or (share < AT_LIMIT and free.low != 0.0):
-                sizes[name]['at_limit'].append(field)
-    return sizes
-
-
-def _at_limit(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Return the nominal parameters at a limit of their tolerance in the fit of the verdict."""
-    return [{'parameter': DOTTED[field], 'channel': weighed.group.channels[-1],
-             'value': float(best.fitted.record[field]),
-             'nominal': float(weighed.group.nominal[field]),
-             'unit': unit_of(UNITS[field], weighed.group.channels[-1], diagnosis.runs[0],
-                             diagnosis.plant),
-             'limit': limit}
-            for weighed in diagnosis.groups for best in [diagnosis.best(weighed)]
-            for field, limit in at_limit(best.fitted).items()
-            if field not in {free.field for variant in best.variants for free in variant.free}]
-
-
 def document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the answer as `asi gap --json` prints it; plain data."""
     chance = marginals(diagnosis.joined)
@@ -401,7 +381,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     listed = [name for name in sorted(chance.keys() - {NO_GAP, UNKNOWN}, key=lambda n: (
         n not in diagnosis.verdict, -alone[n] if n in diagnosis.verdict else -chance[n], n))
         if chance[name] > 0.001]
-    sizes = _sizes(diagnosis, listed)
+    sizes = sizes_of(diagnosis, listed)
     which = [{'effect': name, 'block': block_of(name), 'probability': chance[name], **sizes[name]}
              for name in listed]
     ambiguous = ambiguity_set(diagnosis.joined)
@@ -437,7 +417,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'regimes': [regime._asdict() for regime in regimes],
         'unexplained': unexplained,
         'consequences': [], 'baseline': None, 'characteristic': None,
-        'next_experiment': diagnosis.next_experiment, 'at_limit': _at_limit(diagnosis),
+        'next_experiment': diagnosis.next_experiment, 'at_limit': limits_of(diagnosis),
         'notes': diagnosis.notes, 'sources': [run.source for run in diagnosis.runs],
         'nuisance': {weighed.group.channels[-1]: {
             free.field: float(diagnosis.best(weighed).fitted.record[free.field])

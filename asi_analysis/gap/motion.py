@@ -24,6 +24,7 @@ SMOOTHED_BAND, SIGNAL_TO_NOISE = 2.5, 4.0
 NOISE_BAND, SEGMENTS, NOISE_QUANTILE = (1.5, 4.0), 8.0, 0.25
 COHERENT = 0.95         # least coherence of motion and force in the compared band
 LOWEST_BAND_HZ = 20.0
+SPAN_HZ = 5.0           # one bin of a spectrum varies: those of this span count together
 # An integrated velocity is high-pass filtered here. The filter rings at both ends for this time,
 # at most this share of the recording.
 LOWEST_INTEGRATED_HZ, RINGING_S, RINGING = 0.5, 1.0, 0.2
@@ -128,7 +129,7 @@ def common_band(motion: Array, force: Array, period: float) -> float:
     rate = 1.0 / period
     frequency, coherent = coherence(motion, force, rate, detrend='linear',
                                     nperseg=max(min(motion.size // 4, 2048), 2))
-    width = min(max(1, int(5.0 / frequency[1])), coherent.size)
+    width = min(max(1, int(SPAN_HZ / frequency[1])), coherent.size)
     smooth = np.convolve(coherent, np.ones(width) / width, 'same')
     above = frequency[smooth > COHERENT]
     return float(np.clip(above[-1] if above.size else 0.0, LOWEST_BAND_HZ, 0.2 * rate))
@@ -145,6 +146,22 @@ def clear_band(signal: Array, omega: Array, noise: Array, period: float, longest
     level = 2.0 * period * np.interp(2.0 * np.pi * frequency, omega, noise)
     above = frequency[power > SIGNAL_TO_NOISE * level]
     return float(above[-1]) if above.size else 0.0
+
+
+def steady_band(signal: Array, noise: float, period: float) -> float:
+    """
+    Return the frequency (Hz) above which SPAN_HZ of a signal's power are no more than noise.
+
+    noise: standard deviation of white noise. Single bins farther up, which exceed it by chance,
+    would move the band from one recording to the next.
+    """
+    frequency, power = welch(signal, 1.0 / period, nperseg=min(signal.size // 4, 2048))
+    width = max(1, int(SPAN_HZ / frequency[1]))
+    sums = np.cumsum(np.concatenate([[0.0], power]))
+    last = np.minimum(np.arange(power.size) + width, power.size)
+    mean = (sums[last] - sums[:-1]) / (last - np.arange(power.size))
+    noisy = mean <= SIGNAL_TO_NOISE * 2.0 * period * noise ** 2
+    return float(frequency[np.argmax(noisy)] if noisy.any() else frequency[-1])
 
 
 def noise_above(signal: Array, motion: Motion, period: float) -> float:

@@ -15,13 +15,13 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.motion import (
     Motion,
     agree,
-    clear_band,
     common_band,
     ends,
     first_of,
     judged,
     motion_of,
     stands,
+    steady_band,
 )
 from asi_analysis.gap.parts import balanced_split, reported, split
 from asi_analysis.gap.sampling import clipped, noise_of, recorded, uniform
@@ -220,6 +220,30 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
     return period, moving, origin
 
 
+def shared_band(runs: Sequence[Run], drive: str) -> float:
+    """
+    Return the frequency (Hz) up to which recordings are compared, if they are prepared together.
+
+    drive: as in `prepare`. What is fitted to some of them holds for others in the same band only.
+    """
+    return _band([_signals(run, drive) for run in runs], drive, RIGID_BAND_HZ)
+
+
+def _band(read: Sequence[tuple[float, Mapping[str, Array], object]], drive: str, most_hz: float
+          ) -> float:
+    """Return the frequency (Hz) up to which motion and force of all recordings are compared."""
+    bands = [most_hz] if drive == 'force' else []
+    for period, moving, _ in read:
+        motion = moving.get('velocity', moving.get('position'))
+        if motion is None or 'force' not in moving:
+            continue
+        bands.append(common_band(motion, moving['force'], period))
+        if drive == 'force':
+            # Above, a controller amplifies the noise of the motion: coherent with the force.
+            bands.append(max(steady_band(motion, noise_of(motion), period), LEAST_BAND_HZ))
+    return min(bands, default=most_hz)
+
+
 def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] | None = None,
             band_hz: float = RIGID_BAND_HZ) -> list[Recording]:
     """
@@ -232,22 +256,13 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
     read = [_signals(run, drive) for run in runs]
-    moved = [(moving['velocity' if 'velocity' in moving else 'position'], moving['force'], period)
-             for period, moving, _ in read
-             if 'force' in moving and ('velocity' in moving or 'position' in moving)]
-    bands = [common_band(motion, force, period) for motion, force, period in moved]
-    if drive == 'force':
-        # Above, a controller amplifies the noise of the motion: coherent with the force.
-        everywhere = np.zeros(1)
-        bands += [band_hz, *(
-            max(clear_band(motion, everywhere, np.array([noise_of(motion) ** 2]), period, 2048),
-                LEAST_BAND_HZ) for motion, _, period in moved)]
+    band = _band(read, drive, band_hz)
     recordings: list[Recording] = []
     whole = held_out if held_out is not None and any(held_out) else None
     for number, (run, (period, moving, origin)) in enumerate(zip(runs, read, strict=True)):
         motion, velocity = None, moving.get('velocity')
-        if moved and 'force' in moving:
-            motion, velocity = motion_of(moving.get('position'), velocity, min(bands), period)
+        if 'force' in moving:
+            motion, velocity = motion_of(moving.get('position'), velocity, band, period)
         force = moving.get('force')
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
@@ -256,7 +271,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
         if motion is not None and not motion.measured:
             valid = valid & ~ends(fit.size, period)
         if drive == 'force' and motion is not None and 'position' in moving:
-            valid = valid & ~stands(moving['position'], period, min(bands))
+            valid = valid & ~stands(moving['position'], period, band)
         # Clipped samples are not measurements; a valve, however, may rest against a stop.
         for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])

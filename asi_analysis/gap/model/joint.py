@@ -10,6 +10,7 @@ between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in pl
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -111,22 +112,35 @@ def drive_of(runs: Sequence[Run]) -> str:
     return 'position' if 'force' not in present or missed > SERVO_SHARE else 'force'
 
 
+class Extent(NamedTuple):
+    """
+    What of a joint is modelled, and in which band.
+
+    hidden: gravity or a spring, or a servo of second order, is in every fit, even if not
+    identified without an effect; band_hz: the highest frequency at which the force is compared.
+    """
+
+    hidden: bool = False
+    band_hz: float = RIGID_BAND_HZ
+
+
+WHOLE = Extent()
+
+
 def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: float,
                  held_out: Sequence[bool], drive: str, healthy: Sequence[Run] = (),
-                 weight: tuple[float, float] = (0.0, 0.0), hidden: bool = False,
-                 band_hz: float = RIGID_BAND_HZ) -> tuple[list[Group], list[str]]:
+                 weight: tuple[float, float] = (0.0, 0.0), extent: Extent = WHOLE
+                 ) -> tuple[list[Group], list[str]]:
     """
     Return the groups of channels that a joint has, and notes.
 
     healthy: recordings from which servo, gravity, spring and mean force are identified; none:
-    `runs`; weight: gravity that their fit adds to it, N m of sin q and of cos q; hidden: gravity
-    or a spring, or a servo of second order, is in every fit, even if not identified without an
-    effect; band_hz: the highest frequency at which the force is compared.
+    `runs`; weight: gravity that their fit adds to it, N m of sin q and of cos q.
     """
-    recordings = prepare(runs, drive, held_out, band_hz)
-    of = prepare(healthy, drive) if healthy else recordings
+    recordings = prepare(runs, drive, held_out, extent.band_hz)
+    of = prepare(healthy, drive, band_hz=extent.band_hz) if healthy else recordings
     if drive == 'position':
-        servos, steps, error = _identified_servo(of, hidden)
+        servos, steps, error = _identified_servo(of, extent.hidden)
         followed, notes = with_servo(recordings, runs[0].unit('reference'),
                                      servos[0] if servos else None)
         return [_servo(followed, tolerance, False, servos, steps, error)], notes
@@ -135,6 +149,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     turns = turns_measured(recordings, runs)
     stiffness = given.get('load.stiffness')
     rattling = _rattling(of, healthy or runs)
+    rattles = rattling or _rattling(recordings, runs)   # worn since it was healthy
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
                         rattling)
     told = bool({'gravity.sine', 'gravity.cosine'} & given.keys())
@@ -142,10 +157,11 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         found = found._replace(sine=float(given.get('gravity.sine', 0.0)),
                                cosine=float(given.get('gravity.cosine', 0.0)))
     found = found._replace(sine=found.sine + weight[0], cosine=found.cosine + weight[1])
-    if rattling is not None:   # the weight beyond gravity at the middle of the motion
-        middle = float(np.nanmean((healthy or runs)[0].signal('position')))
-        rattling = rattling._replace(weight=rattling.weight - found.sine * np.sin(middle)
-                                     - found.cosine * np.cos(middle))
+    if rattles is not None:   # the weight beyond gravity at the middle of the motion
+        middle = float(np.nanmean((runs if rattling is None else healthy or runs)[0]
+                                  .signal('position')))
+        rattles = rattles._replace(weight=rattles.weight - found.sine * np.sin(middle)
+                                   - found.cosine * np.cos(middle))
     recordings, notes = without_gravity(recordings, runs, found)
     notes = [] if told else notes
     of = without_gravity(of, healthy, found)[0] if healthy else recordings
@@ -161,12 +177,12 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
            and run.unit('command') not in ('m', 'rad') for run in runs):
         groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
     force_measured = all(run.force_n is not None for run in runs)
-    holds = hidden and not turns and stiffness is None and all(
+    holds = extent.hidden and not turns and stiffness is None and all(
         run.position_m is not None for run in runs)
-    weighs = turns and (hidden or told or bool(healthy) or bool(found.sine or found.cosine))
+    weighs = turns and (extent.hidden or told or bool(healthy) or bool(found.sine or found.cosine))
     mechanics = _mechanics(recordings, given, tolerance, force_measured, weighs,
                            told or bool(healthy),
-                           holds or bool(found.stiffness) and not found.given, rattling)
+                           holds or bool(found.stiffness) and not found.given, rattling, rattles)
     return [*groups, _without_hidden_compliance(mechanics)], notes
 
 
@@ -304,13 +320,13 @@ def _gain(recordings: Sequence[Recording]) -> float:
 
 def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tolerance: float,
                force_measured: bool, weighs: bool, healthy: bool, springs: bool,
-               rattling: Rattling | None) -> Group:
+               rattling: Rattling | None, rattles: Rattling | None) -> Group:
     """
     Return the group that compares the measured force with that of the motion.
 
     weighs: the joint has gravity, which is free in every fit or, if it is known (healthy), an
-    effect; springs: it has a spring whose stiffness is not given; rattling: initial guess of a
-    backlash.
+    effect; springs: it has a spring whose stiffness is not given; rattling, rattles: initial guess
+    of the nominal joint beside a backlash, and of the backlash.
     """
     own = {parameter.name for parameter in JOINT_PARAMETERS}
     rest = {name: value for name, value in given.items() if name not in own}
@@ -347,7 +363,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     travel = max(float(np.ptp(r.motion.position[inner_samples(r)]))
                  for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
-                            rattling_in(rattling))
+                            rattling_in(rattles))
     if weighs and healthy:
         effects += (GRAVITY,)
     elif weighs:   # it was identified without the effects
