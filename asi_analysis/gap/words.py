@@ -17,6 +17,7 @@ NAMES: Final = {
     'valve_lag': 'lag of the valve', 'coulomb_friction': 'Coulomb friction',
     'friction_asymmetry': 'asymmetric friction', 'load_compliance': 'compliance of the load',
     'sensor_offset': 'offset of the force sensor', 'sensor_gain': 'gain of the force sensor',
+    'drive_gain': 'gain of the drive', 'position_gain': 'gain of the position sensor',
     'sensor_lag': 'lag of the force sensor', 'sensor_drift': 'drift of the force sensor',
     'sensor': 'force sensor', UNKNOWN: 'something that no known effect explains'}
 # Of a joint, whose drive may be electric and whose force may be a torque.
@@ -47,8 +48,10 @@ SIZES: Final = {
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
     'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
     'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
-    'drive_delay': 'delay', 'drive_lag': 'time', 'gravity_sine': 'more of sin q',
-    'gravity_cosine': 'more of cos q', 'deadband_centre': 'centre',
+    'drive_loss': 'share of the force lost', 'position_gain_error': 'share too much',
+    'drive_delay': 'delay', 'drive_lag': 'time',
+    'gravity_sine': 'more of sin q', 'gravity_cosine': 'more of cos q',
+    'deadband_centre': 'centre',
     'deadband_slope': 'share of the gain within',
     'gain_asymmetry': 'half of the difference over the mean gain',
     'asymmetry_centre': 'from', 'limit_above': 'upper limit', 'limit_below': 'lower limit',

@@ -21,7 +21,7 @@ from asi_common.parameter import Value
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
 HELD: Final = {
     'load': frozenset(('load_mass', 'load_damping', 'load_stiffness', 'load_offset', 'drive_hold',
-                       'drive_delay', 'drive_lag', 'viscous', 'friction_level',
+                       'drive_delay', 'drive_lag', 'drive_loss', 'viscous', 'friction_level',
                        'friction_asymmetry', 'gravity_sine', 'gravity_cosine')),
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
                         'valve_limit', 'valve_flexure_natural_frequency',
@@ -114,7 +114,8 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     unit = run.unit('position' if run.position_m is not None else 'velocity')
     level = float(p['friction_level'])
     # Friction level (sign(v) + asymmetry) is even friction and a constant force.
-    constant = (taken.get('constant', 0.0) + float(p['load_offset'] - p['disturbance'])
+    gain = 1.0 - float(p['drive_loss'])
+    constant = (gain * taken.get('constant', 0.0) + float(p['load_offset'] - p['disturbance'])
                 + level * float(p['friction_asymmetry']))
     inner = motion.position[motion.pad:motion.pad + recording.fit.size] + origin
     delay = float(p['drive_delay'])
@@ -145,7 +146,7 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
         notes['too_small'] = 'the inertia is too small to show: that of a sample is taken'
     return JointModel(
         unit.startswith('rad'), mass, damping, level, spring, origin, sine,
-        cosine, bias=-constant, delay_s=delay + second, lag_s=lag,
+        cosine, gain=gain, bias=-constant, delay_s=delay + second, lag_s=lag,
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
         seen_push=pushed,
         seen_speed=_most(motion.velocity[motion.pad:-motion.pad]), notes=notes, unit=force,

@@ -32,8 +32,8 @@ WRITTEN: Final = {
         'gravity_cosine', 'viscous', 'friction_level', 'friction_asymmetry',
         'friction_breakaway', 'backlash', 'compliance', 'disturbance', 'disturbance_wave',
         'disturbance_frequency', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
-        'drive_hold', 'drive_delay', 'drive_lag', 'sensor_offset', 'sensor_gain_error',
-        'sensor_lag', 'sensor_drift')),
+        'drive_hold', 'drive_delay', 'drive_lag', 'drive_loss', 'sensor_offset',
+        'sensor_gain_error', 'sensor_lag', 'sensor_drift')),
     'valve': frozenset((
         'valve_characteristic_gain', 'command_delay', 'command_bias', 'command_quantum',
         'command_deadband', 'valve_lag', 'valve_limit', 'valve_flexure_natural_frequency',
@@ -95,7 +95,7 @@ def _mechanics(found: JointModel, p: np.void, force_measured: bool) -> dict[str,
             stiffness * found.inertia)
     if not force_measured:
         values |= {'command_path.delay': max(found.delay_s - poles(p, 'drive_lag')[1], 0.0),
-                   **_lags(p, 'drive_lag')}
+                   'drive.gain': found.gain, **_lags(p, 'drive_lag')}
     values |= {'force_sensor.offset': float(p['sensor_offset']),
                'force_sensor.gain': 1.0 + float(p['sensor_gain_error']),
                'force_sensor.lag_time': float(p['sensor_lag']),

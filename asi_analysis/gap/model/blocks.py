@@ -113,6 +113,8 @@ EFFECT_FIELDS = (
     'gravity_cosine',           # N m cos q
     'drive_hold',               # s, delay of a held command of a joint, at most a sample
     'drive_delay',              # s, further delay
+    'position_gain_error',      # share by which a joint's motion is read too large
+    'drive_loss',               # share of the force that a joint's command no longer makes
     'drive_lag',                # s, of two lags in series
     'drive_lag_split',          # share of the second
 )
@@ -685,7 +687,7 @@ def drive_inverse(omega: Array, p: np.void) -> Complex:
     """Return the frequency response from force to command of a joint's drive: its inverse."""
     s = 1j * omega
     late = p['drive_hold'] + p['drive_delay']
-    response = np.exp(s * late) if late != 0.0 else np.ones_like(s)
+    response = (np.exp(s * late) if late != 0.0 else np.ones_like(s)) / (1.0 - p['drive_loss'])
     if p['drive_lag'] != 0.0:
         split = p['drive_lag_split']
         response *= (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split)

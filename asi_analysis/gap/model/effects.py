@@ -299,6 +299,13 @@ EFFECTS: tuple[Effect, ...] = (
 GRAVITY = Effect('gravity', MECHANICS, 'the joint carries more or less weight', (
     Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
                   for part in ('sine', 'cosine')), LOAD_SIDE),), exact=True)
+# Of a joint whose force is not measured, if its mass is known: less force for the same command.
+DRIVE_GAIN = Effect('drive_gain', VALVE, 'the drive makes less or more force of its command', (
+    Variant((Free('drive_loss', -2.0, 0.8, (0.1, -0.1)),), LOAD_SIDE),), exact=True)
+# The same of any joint: its motion is read too large or too small.
+POSITION_GAIN = Effect('position_gain', SENSOR, 'the sensor of the motion reads too much', (
+    Variant((Free('position_gain_error', -0.7, 2.0, (0.1, -0.1)),), LOAD_SIDE),), exact=True)
+OF_JOINT = {effect.name: effect for effect in (GRAVITY, DRIVE_GAIN, POSITION_GAIN)}
 # Effects of a static characteristic only (static.py): the block, and `Effect.exact`.
 OF_STATIC = {'gain_asymmetry': (VALVE, True), 'curvature': (VALVE, False)}
 BY_NAME = {effect.name: effect for effect in EFFECTS}
@@ -318,7 +325,7 @@ def block_of(name: str) -> str | None:
     if not name.startswith(PARAMETER):
         if name in OF_STATIC:
             return OF_STATIC[name][0]
-        return GRAVITY.block if name == GRAVITY.name else BLOCK_OF.get(name)
+        return OF_JOINT[name].block if name in OF_JOINT else BLOCK_OF.get(name)
     parameter = name.removeprefix(PARAMETER)
     return next((block for start, block in BLOCK_OF_PARAMETER.items()
                  if parameter.startswith(start)), None)
@@ -328,7 +335,7 @@ def has_one_law(name: str) -> bool:
     """Return whether an effect has one law: `exact` of `Effect`."""
     if name in OF_STATIC:
         return OF_STATIC[name][1]
-    return name.startswith(PARAMETER) or name == GRAVITY.name or BY_NAME[name].exact
+    return name.startswith(PARAMETER) or (OF_JOINT | BY_NAME)[name].exact
 
 
 def parameter_error(parameter: str, field: str, limit: str, bounds: tuple[float, float],

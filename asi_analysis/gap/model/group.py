@@ -454,7 +454,8 @@ def _channels_by_field() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
     acts_on: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
                                   'drive_delay': {'load'}, 'drive_lag': {'load'},
-                                  'drive_lag_split': {'load'},
+                                  'drive_lag_split': {'load'}, 'drive_loss': {'load'},
+                                  'position_gain_error': {'load'},
                                   'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
                                   'swing_cosine': {'load'}, 'swing_sine': {'load'},
                                   'damping_share': {'load'},

@@ -19,7 +19,15 @@ from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.model.effects import EFFECTS, GRAVITY, Effect, Free, Variant
+from asi_analysis.gap.model.effects import (
+    DRIVE_GAIN,
+    EFFECTS,
+    GRAVITY,
+    POSITION_GAIN,
+    Effect,
+    Free,
+    Variant,
+)
 from asi_analysis.gap.model.gravity import (
     by_position,
     from_one_origin,
@@ -31,7 +39,12 @@ from asi_analysis.gap.model.gravity import (
 from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group
 from asi_analysis.gap.model.model_file import joint_fields
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.rattling import CONTACT_S, Rattling, rattling_of
+from asi_analysis.gap.model.rattling import (
+    Rattling,
+    first_rattling,
+    rattling_in,
+    rattling_mechanics,
+)
 from asi_analysis.gap.model.servo import (
     Servo,
     error_of,
@@ -148,8 +161,8 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         return [_servo(recordings, tolerance, True)], []
     turns = turns_measured(recordings, runs)
     stiffness = given.get('load.stiffness')
-    rattling = _rattling(of, healthy or runs)
-    rattles = rattling or _rattling(recordings, runs)   # worn since it was healthy
+    rattling = first_rattling(of, healthy or runs)
+    rattles = rattling or first_rattling(recordings, runs)   # worn since it was healthy
     found = by_position(of, healthy or runs, None if stiffness is None else float(stiffness),
                         rattling)
     told = bool({'gravity.sine', 'gravity.cosine'} & given.keys())
@@ -372,45 +385,6 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                       model_error=RIGID_ERROR, floor_by_best=True)
 
 
-def rattling_in(rattling: Rattling | None) -> list[Variant]:
-    """
-    Return forms of a backlash within which the load moves freely; a contact hardly rebounds.
-
-    rattling: initial guess, or None. The joint's damping is the load's; in the second form the
-    motor has damping, too.
-    """
-    if rattling is None:
-        gap = Free('backlash', 0.001, 0.7, (0.004, 0.015, 0.05, 0.15), 'position', 'm')
-        share, weight = 0.4, []
-    else:
-        gap = Free('backlash', 0.4 * rattling.gap, 2.5 * rattling.gap,
-                   tuple(factor * rattling.gap for factor in (1.0, 0.92, 1.08)), '', 'm')
-        share, most = 1.0 - rattling.share, 2.0 * (abs(rattling.constant) + abs(rattling.weight))
-        weight = [Free('load_weight', -most, most, (rattling.weight,), '', 'N')]
-    return [Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
-                     Free('piston_share', 0.05, 0.9, (share,)), *damped, *weight), ('load',),
-                    (('backlash_floating', 1.0),))
-            for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping'),))]
-
-
-def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:
-    """Return mass, damping and, if it has a spring, stiffness of a joint with that backlash."""
-    return {'load_mass': rattling.mass / rattling.share,
-            'load_damping': rattling.decay * rattling.mass} | (
-                {'load_stiffness': max(rattling.stiffness, 0.0)} if springs else {})
-
-
-def _rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling | None:
-    """Return the initial guess of a backlash, from one recording; None without backlash."""
-    for run, recording in zip(runs, recordings, strict=True):
-        motion = recording.motion
-        if (recording.fit.any() and recording.held_out.any() and motion is not None
-                and motion.measured and recording.force_judged is not None):
-            late = 0.5 * recording.period_s if run.force_n is None else 0.0
-            return rattling_of(recording, late)
-    return None
-
-
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
                   rattling: Sequence[Variant]) -> tuple[Effect, ...]:
     """
@@ -449,6 +423,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
                if (variants := tuple(
                    form for v in effect.variants if applies(v) for form in (
                        rattling if ('backlash_floating', 1.0) in v.fixed else (scaled(v),))))]
+    effects += [POSITION_GAIN] * mass_given
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}
@@ -457,6 +432,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
             'transport_delay': [(late['drive_delay'],)],
             'valve_lag': [(late['drive_lag'],),
                           (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
+        effects += [DRIVE_GAIN] * mass_given
         effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=tuple(
             Variant(form, ('load',)) for form in forms[name])) for name in forms]
     return tuple(effects)

@@ -14,7 +14,7 @@ from asi_analysis.gap.model import blocks, simulator, static_blocks
 from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
-from asi_analysis.gap.motion import judged
+from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by
 from asi_analysis.parallel import cores
@@ -221,8 +221,7 @@ def _velocity(recording: Recording, p: np.void, position: Array) -> Array:
 
 def _load(recording: Recording, p: np.void) -> Array:
     """Return the force (N) for the measured motion, as read by the sensor, band-limited."""
-    motion = recording.motion
-    assert motion is not None
+    motion = _motion(recording, p)
     _, damping, stiffness = blocks.load_constants(p)
     extra, slack = np.zeros((2, motion.velocity.size))
     blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
@@ -232,7 +231,7 @@ def _load(recording: Recording, p: np.void) -> Array:
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
         moved = np.empty((2, extra.size))
-        gravity, middle = _gravity(recording, p), recording.taken.get('middle', 0.0)
+        gravity, middle = _gravity(recording, p), _middle(recording, p)
         blocks.floating(motion.position, motion.velocity, middle,
                         (p['load_mass'] - mass, damping, stiffness), gravity,
                         blocks.parts(p)[1], recording.period_s, recording.sub_steps(
@@ -261,6 +260,21 @@ def _load(recording: Recording, p: np.void) -> Array:
         time, blocks.parts(p)[1])
 
 
+def _motion(recording: Recording, p: np.void) -> Motion:
+    """Return the motion of a load, of which a sensor may read another multiple."""
+    motion = recording.motion
+    assert motion is not None
+    if (error := float(p['position_gain_error'])) == 0.0:
+        return motion
+    return replace(motion, **{name: getattr(motion, name) / (1.0 + error) for name in (
+        'position', 'velocity', 'acceleration', 'position_spectrum', 'velocity_spectrum')})
+
+
+def _middle(recording: Recording, p: np.void) -> float:
+    """Return the angle of a joint at the middle of its motion."""
+    return recording.taken.get('middle', 0.0) / (1.0 + float(p['position_gain_error']))
+
+
 def _gravity(recording: Recording, p: np.void) -> Array:
     """Return the gravity of a joint: amplitudes (N m) of sine and cosine of its angle."""
     return np.array([recording.taken.get(f'gravity_{part}', 0.0) + p[f'gravity_{part}']
@@ -281,10 +295,10 @@ def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
     none = np.zeros_like(motion.position)
     if not any(before) and not any(now):
         return none, none, 0.0
-    middle = taken['middle']
-    shapes = np.sin(motion.position + middle), np.cos(motion.position + middle)
-    made, off = (sum((size * shape for size, shape in zip(each, shapes, strict=True)), none)
-                 for each in (now, before))
+    middle = _middle(recording, p)
+    moved, read = _motion(recording, p).position + middle, motion.position + taken['middle']
+    made, off = (each[0] * np.sin(angle) + each[1] * np.cos(angle)
+                 for each, angle in ((now, moved), (before, read)))
     return made, off, now[0] * math.cos(middle) - now[1] * math.sin(middle)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from asi_analysis.arrays import Array
+from asi_analysis.bags.run import Run
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.motion import Motion, judged
@@ -190,3 +191,42 @@ def is_closed(variants: Iterable[Variant], free: Sequence[Free], theta: Array) -
     floating = any(FLOATING in variant.fixed for variant in variants)
     return floating and any(each.field == 'backlash' and share < CLOSED
                             for each, share in zip(free, theta, strict=True))
+
+
+def rattling_in(rattling: Rattling | None) -> list[Variant]:
+    """
+    Return forms of a backlash within which the load moves freely; a contact hardly rebounds.
+
+    rattling: initial guess, or None. The joint's damping is the load's; in the second form the
+    motor has damping, too.
+    """
+    if rattling is None:
+        gap = Free('backlash', 0.001, 0.7, (0.004, 0.015, 0.05, 0.15), 'position', 'm')
+        share, weight = 0.4, []
+    else:
+        gap = Free('backlash', 0.4 * rattling.gap, 2.5 * rattling.gap,
+                   tuple(factor * rattling.gap for factor in (1.0, 0.92, 1.08)), '', 'm')
+        share, most = 1.0 - rattling.share, 2.0 * (abs(rattling.constant) + abs(rattling.weight))
+        weight = [Free('load_weight', -most, most, (rattling.weight,), '', 'N')]
+    return [Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
+                     Free('piston_share', 0.05, 0.9, (share,)), *damped, *weight), ('load',),
+                    (('backlash_floating', 1.0),))
+            for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping'),))]
+
+
+def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:
+    """Return mass, damping and, if it has a spring, stiffness of a joint with that backlash."""
+    return {'load_mass': rattling.mass / rattling.share,
+            'load_damping': rattling.decay * rattling.mass} | (
+                {'load_stiffness': max(rattling.stiffness, 0.0)} if springs else {})
+
+
+def first_rattling(recordings: Sequence[Recording], runs: Sequence[Run]) -> Rattling | None:
+    """Return the initial guess of a backlash, from one recording; None without backlash."""
+    for run, recording in zip(runs, recordings, strict=True):
+        motion = recording.motion
+        if (recording.fit.any() and recording.held_out.any() and motion is not None
+                and motion.measured and recording.force_judged is not None):
+            late = 0.5 * recording.period_s if run.force_n is None else 0.0
+            return rattling_of(recording, late)
+    return None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_baseline import rigid
-from test_gap_joint import PENDULUM, TIME_S, WITH_RESTS, _soft_joint
+from test_gap_joint import PENDULUM, TIME_S, TWO_WAVES, WITH_RESTS, _soft_joint, joint
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.command import diagnose
@@ -52,3 +52,18 @@ def test_a_gear_that_has_worn_is_no_compliance():
                       baseline=[geared(1e-9, WITH_RESTS[half:])])
     assert 'backlash' in answer.verdict and 'load_compliance' not in answer.verdict
     assert any('rattles' in note for note in answer.notes)
+
+
+@pytest.mark.parametrize(('push', 'seen', 'verdict', 'size'), [
+    (0.7, 1.0, 'drive_gain', 0.3), (1.0, 1.3, 'position_gain', 0.3)])
+@pytest.mark.filterwarnings('ignore:the joint has gravity', 'ignore:a constant')
+def test_one_factor_of_the_command_or_the_motion_is_one_change(push, seen, verdict, size):
+    """Inertia, friction and gravity all seem to have changed by it."""
+    healthy = joint(friction=0.1, gravity=0.5, course=TWO_WAVES).between(0.0, 6.0)
+    new = joint(friction=0.1, gravity=0.5).between(0.0, 6.0)
+    new = replace(new, command_n=new.command_n / push, position_m=new.position_m * seen)
+    answer = diagnose([new], plant='joint', baseline=[healthy])
+    assert answer.verdict == verdict and answer.probability > 0.9
+    value, = answer.which[0]['parameters'].values()
+    assert value == pytest.approx(size, abs=0.03)
+    assert f'gain of the {verdict.split("_")[0]}' in str(answer)

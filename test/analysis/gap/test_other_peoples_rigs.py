@@ -13,8 +13,8 @@ from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.inference import hypotheses
 from asi_analysis.gap.inference.fit import fit_null
 from asi_analysis.gap.model import gravity
-from asi_analysis.gap.model.joint import drive_of, joint_groups, rattling_in
-from asi_analysis.gap.model.rattling import is_closed
+from asi_analysis.gap.model.joint import drive_of, joint_groups
+from asi_analysis.gap.model.rattling import is_closed, rattling_in
 from asi_analysis.gap.motion import stands
 from asi_analysis.gap.parts import balanced_split, reported
 
