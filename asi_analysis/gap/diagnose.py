@@ -332,13 +332,24 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     elif plant == 'static':
         experiment = choose_course(weighed, ambiguous)
     elif len(ambiguous) > 1:
-        experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')))
+        experiment = choose_motion(weighed, ambiguous, _missing(runs, ('position', 'force')),
+                                   _unit_of_motion(runs[0], drive))
     if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')] and not (
             of_simulator(weighed[0].group.nominal)):
         # With refitted parameters, since a difference within their tolerance is not a gap.
         chain = localisation.along_the_chain(groups[0], groups[1], *(
             w.candidates[()].fitted.record for w in weighed))
     return replace(answer, shrinks=shrinks, next_experiment=experiment, chain=chain)
+
+
+def _unit_of_motion(run: Run, drive: str | None) -> str:
+    """Return the unit in which a course of a joint is told: of what moves, or of a reference."""
+    if drive == 'position':
+        return run.unit('reference')
+    if drive == 'drive':
+        return run.unit('command')
+    return (run.unit('position') if run.position_m is not None else
+            run.unit('velocity').removesuffix('/s'))
 
 
 def _missing(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:

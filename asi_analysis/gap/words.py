@@ -201,7 +201,7 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
     limits = ', '.join(f'{row["parameter"]} ({digits(row["value"], row["unit"])}, '
                        f'{digits(row["value"] / row["nominal"])} times nominal)'
                        for row in answer['at_limit'])
-    rest = [_together(verdict, plant) for verdict in answer['ambiguity_set']
+    rest = [together(verdict, plant) for verdict in answer['ambiguity_set']
             if verdict != answer['verdict']]
     following = answer['next_experiment']
     return [each for each in (
@@ -216,7 +216,7 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
         following and f'What next: {following["advice"]}.') if each]
 
 
-def _together(verdict: str, plant: str) -> str:
+def together(verdict: str, plant: str) -> str:
     """Return the effects of a verdict in words, the unknown one last."""
     names = sorted(verdict.split('+'), key=lambda name: name == UNKNOWN)
     return ' and '.join(in_words(name, plant) for name in names)

@@ -31,6 +31,7 @@ from asi_analysis.bags.exchange.units import unit_in
 from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError, InputWarning, input_warnings
+from asi_common.topics import PISTON
 
 LEAST_RATE_HZ: Final = 1e-6
 MOST_RATE_HZ: Final = 1e8
@@ -174,7 +175,9 @@ def read_joint(paths: Sequence[Path], joint: str) -> list[Run]:
     if joint not in found:      # a folder has other names
         joint = folder_name(joint)
     if paths and joint not in found:
-        raise InputError(f'{paths[0]}: no joint {joint}; it has {", ".join(found)}')
+        raise InputError(f'{paths[0]}: ' + (
+            'it is of one joint, which has no name: leave out --joint' if PISTON in found else
+            f'no joint {joint}; it has {", ".join(found)}'))
     return found.get(joint, [])
 
 
@@ -192,8 +195,14 @@ def _joints_in(path: Path) -> dict[str, Run]:
         f'{signal}={topic}/{JOINT}/{field}[{unit}]' for signal, field, unit in (
             ('position', 'position', 'rad'), ('velocity', 'velocity', 'rad/s'),
             ('force', 'effort', 'Nm'))
-        if any(name.endswith(f'/{field}') and np.nanstd(values) > 0.0
+        if any(name.endswith(f'/{field}') and _varies(values)
                for name, values in table.items())])
+
+
+def _varies(values: Array) -> bool:
+    """Return whether a column holds at least two different values."""
+    known = values[np.isfinite(values)]
+    return bool(known.size) and float(np.ptp(known)) > 0.0
 
 
 def _read(path: Path, texts: list[str], rate_hz: float | None, skip_lines: int,

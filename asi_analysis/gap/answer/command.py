@@ -29,6 +29,12 @@ from asi_analysis.gap.model.model_file import DIRECT, LAGS
 from asi_analysis.gap.model.simulator import of_simulator
 from asi_analysis.gap.model.static import GIVEN, static_signals
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.recordings import (
+    against_healthy,
+    units_not_given,
+    unwrapped,
+    without_repeats,
+)
 from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
@@ -271,6 +277,24 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
         'simulator does: the difference may be reported as a gap'] if on else [])
 
 
+def _joint_recordings(*given: Sequence[Run]) -> tuple[list[list[Run]], list[str]]:
+    """
+    Return the new, held-out and healthy recordings of a joint, mended, and notes.
+
+    Raises InputError if the healthy ones cannot be compared with the others.
+    """
+    mended = [[unwrapped(run) for run in each] for each in given]
+    runs, held_out, healthy = ([run for run, _ in each] for each in mended)
+    runs, repeated = without_repeats(runs)
+    held_out, also_fitted = without_repeats(held_out, runs)
+    healthy, known = without_repeats(healthy)
+    whole = [runs, held_out, healthy]
+    return whole, [*(note for each in mended for _, notes in each for note in notes),
+                   *repeated, *also_fitted, *known,
+                   *against_healthy([*runs, *held_out], healthy),
+                   *(note for each in whole for run in each for note in units_not_given(run))]
+
+
 def _check_units(runs: Sequence[Run]) -> None:
     """Raise InputError if a signal has another unit in another recording."""
     for before, run in itertools.combinations(runs, 2):
@@ -322,6 +346,9 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
         runs, held_out = ([replace(run, information={**run.information, 'characteristic': {
             'input': signals[0], 'output': signals[1]}}) for run in each]
             for each in (runs, held_out))
+    given: list[str] = []
+    if plant == 'joint':
+        (runs, held_out, baseline), given = _joint_recordings(runs, held_out, baseline)
     own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
     del own['']
     everything = [*runs, *held_out]
@@ -338,8 +365,9 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
     if settings and plant != 'static':
         _check_ranges(values, plant, '--set')
     notes = (_of_the_model([*baseline, *everything], values, model is not None)
-             if plant == 'actuator' else [])
-    for note in notes[1:]:   # before the checks, since a note may explain a refusal
+             if plant == 'actuator' else given)
+    # Before the checks, since a note may explain a refusal.
+    for note in notes[plant == 'actuator':]:
         warnings.warn(note, InputWarning, stacklevel=2)
     # Mass and damping of a healthy joint are identified, unless they are given.
     declared = {name: share for name, share in own.items()

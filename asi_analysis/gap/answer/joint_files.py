@@ -176,7 +176,9 @@ def isaac_of(models: Mapping[str, JointModel], origin: str) -> str:
             'friction': model.friction, 'viscous_friction': model.damping,
             'effort_limit': effort, 'velocity_limit': speed, 'min_delay': late,
             'max_delay': late}
-        said = [*_about(model), f'a step of the delays: {_text(model.period_s)} s', *(
+        whole = ['armature is the whole inertia, less that of your link about this axis']
+        said = [*_about(model), *whole * (model.turns and not model.kp),
+                f'a step of the delays: {_text(model.period_s)} s', *(
             f'Isaac Lab has no word for {each}' for each in unsaid_in_isaac(model))]
         lines += [f'  {scalar(name)}:', *(f'    # {line}' for line in said),
                   f'    joint_names_expr: [{scalar(name)}]',

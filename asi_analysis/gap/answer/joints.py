@@ -24,7 +24,7 @@ from asi_analysis.gap.answer.export import (
 from asi_analysis.gap.answer.joint_files import JOINT as ALONE
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.model.predict import measured, predict
-from asi_analysis.gap.words import chance, in_words, percent, sizes_in_words
+from asi_analysis.gap.words import chance, in_words, percent, sizes_in_words, together
 from asi_analysis.reporting.result import Result, Table
 from asi_analysis.terminal import Progress, silent
 
@@ -63,12 +63,12 @@ class JointGaps(Result):
 def _row(joint: Mapping[str, Any]) -> list[str]:
     answer = joint['answer']
     if answer is None:
-        return [joint['joint'], joint['error'], *5 * ['']]
+        return [joint['joint'], 'not diagnosed: see the note', *5 * ['']]
     found = answer['verdict'].split('+')
     words = ' and '.join(in_words(name, 'joint') for name in found)
     others = [verdict for verdict in answer['ambiguity_set'] if verdict != answer['verdict']]
     if others:
-        words += f' (or {", ".join(in_words(each, "joint") for each in others)})'
+        words += f' (or {", or ".join(together(each, "joint") for each in others)})'
     if answer['baseline']:
         change = answer['baseline']['change']
         words = {'none': 'no change', 'cannot_tell': f'uncertain: {words}'}.get(change, words)
@@ -115,6 +115,8 @@ def diagnose_joints(recordings: Mapping[str, Sequence[Run]],
         rests[joint] = left
         if isinstance(export, Exported):
             found[joint] = export
+        elif answer is None:
+            refused.append(f'{joint} is not diagnosed{" or exported" if exports else ""}: {error}')
         elif exports:
             refused.append(f'not in the exports: {joint}: {export}')
         progress(f'{number + 1} of {len(recordings)} joints', (number + 1) / len(recordings))

@@ -19,6 +19,7 @@ from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.prepare import Recording, prepare
+from asi_analysis.gap.words import digits
 
 DURATION_S, LEAST_SAMPLES = 20.0, 2000
 Course = Callable[[Array, float], Array]
@@ -54,13 +55,13 @@ CATALOGUE: dict[str, tuple[Course, float, float]] = {
 }
 
 
-def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequence[str] = ()
-                  ) -> dict[str, object] | None:
+def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequence[str] = (),
+                  unit: str = '') -> dict[str, object] | None:
     """
     Return the course of the catalogue that separates the hypotheses `ambiguous` best.
 
     The score is that of the worst pair. missing: signals that were not recorded. None if fewer
-    than two hypotheses can be predicted.
+    than two hypotheses can be predicted. unit: of the motion.
     """
     pairs = pairs_of(groups, ambiguous)
     if not pairs:
@@ -71,8 +72,8 @@ def choose_motion(groups: list[Weighed], ambiguous: list[Names], missing: Sequen
     _, size, frequency = simulated(pairs[0][0], best)
     duration = _duration(pairs[0][0])
     return suggestion(
-        f'{best}: {size:.3g} to each side at {frequency:.3g} Hz, for {duration:.0f} s', None,
-        worst[best], worst, ambiguous, missing)
+        f'{best}: {digits(size, unit)} to each side at {frequency:.3g} Hz, for {duration:.0f} s',
+        None, worst[best], worst, ambiguous, missing)
 
 
 def _duration(group: Group) -> float:

@@ -33,6 +33,8 @@ LARGEST_FACTOR = 20.0  # a factor that is refused whatever the shape
 # A load takes power: below the negative of this, the correlation of force and velocity shows a
 # reversed sign.
 AGAINST_MOTION = 0.2
+# Correlation with velocity and acceleration below which a force is of another motion.
+UNRELATED = 0.1
 EARLIEST_S, LATEST_S = 0.004, 0.08
 EARLY_SAMPLES = 1.5    # or so many samples: an answer may be logged with the next command
 SHIFTED_CORRELATION = 0.93  # correlation, after a time shift, above which only that differs
@@ -98,6 +100,11 @@ def check_joint(group: Group) -> None:
                 with_acceleration = float(np.corrcoef(
                     real[valid], np.gradient(velocity)[valid])[0, 1])
                 reversed_ = with_velocity < -AGAINST_MOTION and with_acceleration < AGAINST_MOTION
+                if not reversed_ and max(with_velocity, abs(with_acceleration)) < UNRELATED:
+                    raise InputError(
+                        f'{recording.source}: force (or command) and motion do not belong '
+                        'together: the force neither moves a mass nor is lost to friction; are '
+                        'columns swapped, or of two recordings?')
                 real_size, model_size = float(np.std(real[valid])), float(np.std(model[valid]))
                 # With friction and gravity the force is larger than the model's, not smaller.
                 if LARGEST_FACTOR * real_size < model_size:
@@ -125,7 +132,7 @@ def check_joint(group: Group) -> None:
                                      f'{-1e3 * shift:.0f} ms before it; the clocks differ')
             if reversed_:
                 raise InputError(f'{recording.source}: {what}: the sign is reversed; check the '
-                                 'signs of both')
+                                 'signs of both, and whether their columns are swapped')
 
 
 def _power_share(recording: Recording, velocity: Array, valid: Mask) -> float:

@@ -136,6 +136,8 @@ class _Force:
             self._judged(1j * motion.omega * velocity), self._judged(velocity),
             self._judged(np.fft.rfft(moved[0] - motion.position) + motion.position_spectrum),
             self.own])
+        if not np.isfinite(columns).all():   # the force moves such a load out of all bounds
+            return _Trial(math.inf, math.inf, load, weighs)
         size = np.sqrt(np.mean(columns ** 2, axis=1)) + 1e-30
         fit = self.recording.fit
         rows, right = (columns / size[:, None])[:, fit], self.force[fit]
