@@ -46,6 +46,7 @@ from asi_analysis.gap.inference.probability import (
     probabilities,
 )
 from asi_analysis.gap.inference.related import Candidate, refitted_from_related
+from asi_analysis.gap.inference.simpler import as_simple_friction
 from asi_analysis.gap.model.effects import (
     PARAMETER,
     UNKNOWN,
@@ -327,7 +328,10 @@ def weigh(group: Group, found: dict[Names, Candidate]) -> Weighed:
     if group.channels == ('static',) or group.floor_by_best:
         quiet = evidence.error_floor != group.error_floor
         constants = SERVO if quiet and group.channels == ('valve',) else OWN_MODEL
-    return Weighed(group, effective, probabilities(evidence, constants))
+    chance = probabilities(evidence, constants)
+    if group.channels == ('load',) and (group.floor_by_best or group.floor_measured):
+        chance = as_simple_friction(chance, effective)
+    return Weighed(group, effective, chance)
 
 
 def effective_hypotheses(found: dict[Names, Candidate]) -> dict[Names, Candidate]:
