@@ -119,14 +119,16 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
                 + level * float(p['friction_asymmetry']))
     inner = motion.position[motion.pad:motion.pad + recording.fit.size] + origin
     delay = float(p['drive_delay'])
+    notes = {}   # of what was identified before the fit, or is written as another value
     if delay:   # a command that is held is late by half a sample without any
         delay += float(p['drive_hold']) - 0.5 * recording.period_s * (run.force_n is None)
+        notes['delay'] = (f'delay here {digits(delay, "s")}: a command that is held for each '
+                          'sample is late by half of it without')
     lag, second = poles(p, 'drive_lag')
     sine, cosine = (taken.get(name, 0.0) + float(p[name])
                     for name in ('gravity_sine', 'gravity_cosine'))
     driving = 'command' if run.force_n is None else 'force'
     force = run.unit(driving)
-    notes = {}   # of what was identified before the fit
     if sine or cosine:
         notes['gravity'] = (f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} '
                             'cos q')

@@ -10,7 +10,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joint_files import isaac_of
-from asi_analysis.gap.answer.joint_model import JointModel
+from asi_analysis.gap.answer.joint_model import JointModel, moved_by
 from asi_analysis.gap.inference.plausibility import check_joint
 from asi_analysis.gap.model.joint import joint_groups
 from asi_analysis.gap.recordings import (
@@ -88,6 +88,16 @@ def test_the_armature_of_isaac_is_said_to_be_the_whole_inertia():
     text = isaac_of({'knee': JointModel(True, 0.05, 0.1)}, 'made here')
     assert 'armature is the whole inertia, less that of your link' in text
     assert 'whole inertia' not in isaac_of({'slide': JointModel(False, 5.0, 1.0)}, 'made here')
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_the_delay_of_a_file_is_said_where_it_is_not_that_of_the_answer():
+    diagnosis = diagnose([joint(late_s=0.012).between(0.0, 6.0)], plant='joint').diagnosis
+    weighed = diagnosis.groups[-1]
+    record = diagnosis.best(weighed).fitted.record
+    model = moved_by(weighed, record, diagnosis.runs)
+    assert model.delay_s != pytest.approx(record['drive_delay'], abs=1e-4)
+    assert f'{model.delay_s:#.3g}' in model.notes['delay']
 
 
 @pytest.mark.filterwarnings('ignore')
