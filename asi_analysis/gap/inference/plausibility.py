@@ -33,7 +33,7 @@ LARGEST_FACTOR = 20.0  # a factor that is refused whatever the shape
 # A load takes power: below the negative of this, the correlation of force and velocity shows a
 # reversed sign.
 AGAINST_MOTION = 0.2
-# Correlation with velocity and acceleration below which a force is of another motion.
+# Correlation with velocity, acceleration and speed below which a force is of another motion.
 UNRELATED = 0.1
 EARLIEST_S, LATEST_S = 0.004, 0.08
 EARLY_SAMPLES = 1.5    # or so many samples: an answer may be logged with the next command
@@ -100,7 +100,10 @@ def check_joint(group: Group) -> None:
                 with_acceleration = float(np.corrcoef(
                     real[valid], np.gradient(velocity)[valid])[0, 1])
                 reversed_ = with_velocity < -AGAINST_MOTION and with_acceleration < AGAINST_MOTION
-                if not reversed_ and max(with_velocity, abs(with_acceleration)) < UNRELATED:
+                # A current that was recorded without its sign is of its motion, too.
+                with_speed = float(np.corrcoef(real[valid], np.abs(velocity[valid]))[0, 1])
+                if not reversed_ and max(with_velocity, abs(with_acceleration),
+                                         with_speed) < UNRELATED:
                     raise InputError(
                         f'{recording.source}: force (or command) and motion do not belong '
                         'together: the force neither moves a mass nor is lost to friction; are '
