@@ -21,10 +21,10 @@ LEAST: Final = 0.01
 def as_simple_friction(chance: Mapping[Names, float], candidates: Mapping[Names, Candidate]
                        ) -> dict[Names, float]:
     """
-    Return the probabilities of hypotheses; a simpler one gets what another shares with it.
+    Return the probabilities of hypotheses; a simpler one gets half of what it may be instead.
 
-    All of it if the size that makes it another friction is at the least allowed, half if its
-    interval reaches that: smaller sizes are those of the simpler one.
+    So where the interval of the size that makes it another friction reaches the least allowed:
+    smaller sizes are those of the simpler one.
     """
     moved = dict(chance)
     for names, found in candidates.items():
@@ -36,28 +36,29 @@ def as_simple_friction(chance: Mapping[Names, float], candidates: Mapping[Names,
                                     tuple(sorted((*simple, UNKNOWN))))]
         if sum(chance.get(each, 0.0) for each, _ in beside) < LEAST:
             continue
-        share = _shared(own, found, candidates[simple])
+        if not _may_be_simple(own, found, candidates[simple]):
+            continue
         for each, to in beside:
-            part = share * moved.get(each, 0.0)
-            moved[each] = moved.get(each, 0.0) - part
-            moved[to] = moved.get(to, 0.0) + part
+            half = 0.5 * moved.get(each, 0.0)
+            moved[each] = half
+            moved[to] = moved.get(to, 0.0) + half
     return moved
 
 
-def _shared(name: str, found: Candidate, simple: Candidate) -> float:
-    """Return the share of the probability of a friction that is that of the simple one."""
+def _may_be_simple(name: str, found: Candidate, simple: Candidate) -> bool:
+    """Return whether a friction may be the simple one."""
     fitted, theta = found.fitted, found.fitted.theta
     number = next((number for number, free in enumerate(fitted.free)
                    if free.field == DISTINGUISHED_BY[name]), None)
     if number is None or fitted.free[number].low <= 0.0 <= fitted.free[number].high:
-        return 0.0   # 0 is the least size
+        return False   # 0 is the least size
     low, high = fitted.free[number].low, fitted.free[number].high
     least = min(low, high, key=abs)
     bound = 0.0 if least == low else 1.0
     if abs(theta[number] - bound) < AT_LIMIT or (
             name == 'friction_asymmetry' and _balanced(simple, abs(least))):
-        return 1.0
-    return 0.5 * (end(likelihood(fitted), theta, number, bound) == bound)
+        return True
+    return bool(end(likelihood(fitted), theta, number, bound) == bound)
 
 
 def _balanced(simple: Candidate, least: float) -> bool:
