@@ -150,18 +150,20 @@ def clear_band(signal: Array, omega: Array, noise: Array, period: float, longest
 
 def steady_band(signal: Array, noise: float, period: float) -> float:
     """
-    Return the frequency (Hz) above which SPAN_HZ of a signal's power are no more than noise.
+    Return the frequency (Hz) above which SPAN_HZ of a signal's power are nowhere above noise.
 
-    noise: standard deviation of white noise. Single bins farther up, which exceed it by chance,
-    would move the band from one recording to the next.
+    noise: standard deviation of white noise. Single bins, which exceed it by chance, would move
+    the band from one recording to the next.
     """
-    frequency, power = welch(signal, 1.0 / period, nperseg=min(signal.size // 4, 2048))
+    frequency, power = welch(signal, 1.0 / period,
+                             nperseg=max(min(signal.size // 4, 2048), 2))
     width = max(1, int(SPAN_HZ / frequency[1]))
     sums = np.cumsum(np.concatenate([[0.0], power]))
     last = np.minimum(np.arange(power.size) + width, power.size)
     mean = (sums[last] - sums[:-1]) / (last - np.arange(power.size))
-    noisy = mean <= SIGNAL_TO_NOISE * 2.0 * period * noise ** 2
-    return float(frequency[np.argmax(noisy)] if noisy.any() else frequency[-1])
+    clear = np.flatnonzero((mean > SIGNAL_TO_NOISE * 2.0 * period * noise ** 2)
+                           & (power > SIGNAL_TO_NOISE * 2.0 * period * noise ** 2))
+    return float(frequency[clear[-1]]) if clear.size else 0.0
 
 
 def noise_above(signal: Array, motion: Motion, period: float) -> float:

@@ -26,9 +26,8 @@ def unwrapped(run: Run) -> tuple[Run, list[str]]:
         return run, []
     changed = replace(run, position_m=position)
     if run.reference_n is not None and run.unit('reference') == 'rad':
-        reference, _ = _without_turns(run.reference_n)
-        apart = float(np.nanmedian(reference - position))
-        changed = replace(changed, reference_n=reference - TURN * round(apart / TURN))
+        turns = np.round((run.reference_n - position) / TURN)   # to the nearest one
+        changed = replace(changed, reference_n=run.reference_n - TURN * turns)
     return changed, [f'{run.source}: position jumps by whole turns, {jumps} times: it is taken as '
                      'an angle that wraps, and unwrapped']
 
@@ -76,16 +75,19 @@ def without_repeats(runs: Sequence[Run], others: Sequence[Run] = ()
     return kept, notes
 
 
-def against_healthy(runs: Sequence[Run], healthy: Sequence[Run]) -> list[str]:
+def against_healthy(runs: Sequence[Run], healthy: Sequence[Run], drive: str | None) -> list[str]:
     """
     Return notes of new recordings that are healthy ones too: nothing can have changed.
 
-    Raises InputError if the healthy recordings hold another kind of signals.
+    drive: as for `diagnose`; None: that of the healthy recordings. Raises InputError if the others
+    do not hold its signals.
     """
     notes = []
     for before, run in itertools.product(healthy, runs):
-        kinds = [(drive_of([each]), each.force_n is None) for each in (before, run)]
-        if kinds[0] != kinds[1]:
+        driving = ['reference'] if (drive or drive_of(healthy)) == 'position' else [
+            'command', 'force']
+        held = [[name in each.signals() for name in driving] for each in (before, run)]
+        if held[0] != held[1]:
             raise InputError(
                 f'{run.source}: the healthy recordings hold other signals: here '
                 f'{" and ".join(run.signals())}, in {before.source} '

@@ -145,6 +145,19 @@ def evaluate(mapping: Assignment, table: Table, path: Path) -> tuple[Array, str]
     return (values if factor == 1.0 else values * factor), unit
 
 
+def with_stated_unit(text: str, table: Table) -> str:
+    """Return a mapping with the unit in brackets in the name of its column, if it has none."""
+    mapping = parse_mapping(text)
+    column = column_of(mapping, table)
+    scaled = column not in (mapping.term, text.partition('=')[2].strip()) and (
+        column_part(mapping) != mapping.term)
+    if column is None or mapping.unit or mapping.signal == 'time' or scaled:
+        return text
+    unit = unit_in(column) if BRACKETS.search(column) else ''
+    known = conversion(unit)
+    return f'{text}[{unit}]' if known and known[0] in UNITS_OF[mapping.signal] else text
+
+
 def _other_form(mapping: Assignment, table: Table) -> str:
     """Return how to write x/1000, -x and 2*x, if that is what a mapping has."""
     found = re.fullmatch(rf'-(?P<negative>.+)|(?P<factor>{_NUMBER})\*(?P<scaled>.+)'

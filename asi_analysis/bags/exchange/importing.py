@@ -21,13 +21,13 @@ from asi_analysis.bags.exchange.column_mapping import (
     listed,
     own_mapping,
     parse_mapping,
+    with_stated_unit,
 )
 from asi_analysis.bags.exchange.joints import JOINT, bags_in, folder_name, joints_of
 from asi_analysis.bags.exchange.lerobot import is_dataset, refuse_episode, refuse_visual
 from asi_analysis.bags.exchange.preview import message_types
 from asi_analysis.bags.exchange.several_files import Signals, read_several
 from asi_analysis.bags.exchange.table_file import Table, read_table
-from asi_analysis.bags.exchange.units import unit_in
 from asi_analysis.bags.information import checked, missing_ticks
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError, InputWarning, input_warnings
@@ -91,6 +91,7 @@ def _imported(paths: list[Path], texts: list[str], rate_hz: float | None, skip_l
         texts, table, earlier = _read(paths[0], texts, rate_hz, skip_lines, delimiter, columns,
                                       episode)
         signals = _evaluated([parse_mapping(text) for text in texts], table, paths[0])
+        texts = [with_stated_unit(text, table) for text in texts]
     run = _run(signals, texts, paths, rate_hz, zero_s, earlier)
     return _with_exported(run, paths[0]) if exported else run
 
@@ -273,7 +274,7 @@ def _check_turning(signals: Signals, texts: Sequence[str], path: Path) -> None:
     for text in texts:
         name = text.partition('=')[0].strip()
         if turning and name in ('position', 'velocity') and name in signals and (
-                signals[name][1] in ('m', 'm/s') and not unit_in(text)):
+                signals[name][1] in ('m', 'm/s') and not text.rstrip().endswith(']')):
             unit = {'m': 'rad', 'm/s': 'rad/s'}[signals[name][1]]
             warnings.warn(f'{path}: {text!r} has no unit and is taken in {signals[name][1]}, '
                           f'beside {signals[turning[0]][1]} of the {turning[0]}: write '

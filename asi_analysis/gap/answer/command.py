@@ -277,7 +277,8 @@ def _of_the_predictor(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list
         'simulator does: the difference may be reported as a gap'] if on else [])
 
 
-def _joint_recordings(*given: Sequence[Run]) -> tuple[list[list[Run]], list[str]]:
+def _joint_recordings(drive: str | None, *given: Sequence[Run]
+                      ) -> tuple[list[list[Run]], list[str]]:
     """
     Return the new, held-out and healthy recordings of a joint, mended, and notes.
 
@@ -291,7 +292,7 @@ def _joint_recordings(*given: Sequence[Run]) -> tuple[list[list[Run]], list[str]
     whole = [runs, held_out, healthy]
     return whole, [*(note for each in mended for _, notes in each for note in notes),
                    *repeated, *also_fitted, *known,
-                   *against_healthy([*runs, *held_out], healthy),
+                   *against_healthy([*runs, *held_out], healthy, drive),
                    *(note for each in whole for run in each for note in units_not_given(run))]
 
 
@@ -348,7 +349,7 @@ def diagnose(runs: Sequence[Run], model: Model | None = None, plant: str = 'actu
             for each in (runs, held_out))
     given: list[str] = []
     if plant == 'joint':
-        (runs, held_out, baseline), given = _joint_recordings(runs, held_out, baseline)
+        (runs, held_out, baseline), given = _joint_recordings(drive, runs, held_out, baseline)
     own = _tolerances({**model_tolerances(model), **tolerances, '': tolerance})
     del own['']
     everything = [*runs, *held_out]

@@ -133,8 +133,8 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
         notes['gravity'] = (f'gravity {digits(sine, force)} sin q and {digits(cosine, force)} '
                             'cos q')
     if 'constant' in taken:
-        notes['constant'] = (f'beside the constant load {digits(taken["constant"], force)} (no '
-                             'interval)')
+        load = digits(gain * taken['constant'], force)
+        notes['constant'] = f'beside the constant load {load} (no interval)'
     # Each recording has its own origin, the same spring acts on all.
     spring = float(p['load_stiffness'])
     constants = [r.taken.get('constant', 0.0) + float(p[of_recording('load_offset', r.number)])

@@ -102,12 +102,14 @@ def check_joint(group: Group) -> None:
                 reversed_ = with_velocity < -AGAINST_MOTION and with_acceleration < AGAINST_MOTION
                 # A current that was recorded without its sign is of its motion, too.
                 with_speed = float(np.corrcoef(real[valid], np.abs(velocity[valid]))[0, 1])
+                with_position = float(np.corrcoef(   # of a spring, or gravity
+                    real[valid], against.position[inner][valid])[0, 1])
                 if not reversed_ and max(with_velocity, abs(with_acceleration),
-                                         with_speed) < UNRELATED:
+                                         abs(with_position), with_speed) < UNRELATED:
                     raise InputError(
                         f'{recording.source}: force (or command) and motion do not belong '
-                        'together: the force neither moves a mass nor is lost to friction; are '
-                        'columns swapped, or of two recordings?')
+                        'together: the force moves no mass, and no spring or friction answers '
+                        'it; are columns swapped, or of two recordings?')
                 real_size, model_size = float(np.std(real[valid])), float(np.std(model[valid]))
                 # With friction and gravity the force is larger than the model's, not smaller.
                 if LARGEST_FACTOR * real_size < model_size:

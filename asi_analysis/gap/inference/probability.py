@@ -246,7 +246,9 @@ def probabilities(e: Evidence, c: Constants = CONSTANTS) -> dict[Names, float]:
     unknown = unknown_probability(e, likely, c)
     effects = max((names for names in chance if names), key=lambda names: chance[names],
                   default=())
-    gap, left = ([e.residual[names][channel] for channel in e.noise] for names in ((), effects))
+    # What is below the error floor needs no effect.
+    gap, left = ([e.residual[names][channel] + e.error_floor[channel] for channel in e.noise]
+                 for names in ((), effects))
     return with_unknown(chance, unknown, beside_unknown(
         gap, left, len(effects), _effective_samples(e, c), c))
 

@@ -19,7 +19,7 @@ from asi_analysis.limit_cycle.attribution.classifier import (
 )
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
-from asi_analysis.limit_cycle.detection.feedback import levels_of
+from asi_analysis.limit_cycle.detection.feedback import RELAY, levels_of
 from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
 from asi_analysis.measures.quality import Trust, findings, quality_of, trust
 from asi_analysis.terminal import Progress, silent
@@ -192,12 +192,12 @@ def _weighed(chances: dict[str, float], part: Run, segment: Segment) -> dict[str
     """
     Return the probabilities by shape, given what the command and the detection show.
 
-    The training set has no switching controller; its command has two or three levels. A limit
+    The training set has no switching controller; its command has two levels. A limit
     cycle that comes from within the loop is no disturbance from outside, and vice versa.
     """
     assert part.command_n is not None
     cycle = segment.confidence if segment.verdict == 'limit_cycle' else 0.5
-    if levels_of(part.command_n):
+    if levels_of(part.command_n) == RELAY:
         chances = {name: (1.0 - cycle) * chance for name, chance in chances.items()}
         chances |= {'switching_controller': cycle}
     elif segment.verdict == 'limit_cycle':

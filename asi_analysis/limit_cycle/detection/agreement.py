@@ -131,8 +131,8 @@ def _unless_driven(run: Run, segment: Segment) -> Segment:
     answers = share is None or share > feedback.CLOSED
     if share is not None and not answers and not feedback.follows_a_law(run, *place):
         return segment._replace(verdict='unsteady', confidence=AGREED, why=(
-            f'driven open loop, or a limit cycle: {known}, and the command does not answer the '
-            f'output, which explains {100 * share:.0f} % of its innovation; {ask}'))
+            f'driven open loop, or a limit cycle: {known}, and nothing shows that the command '
+            f'answers the output, which explains {100 * share:.0f} % of its innovation; {ask}'))
     if run.reference_n is not None:
         if answers or not feedback.switches(run, segment.start_s, segment.end_s):
             return segment

@@ -23,7 +23,9 @@ LAGS: Final = 6
 MOST_SAMPLES: Final = 20_000
 # Share of the command's variance below which its innovation is a rounding error.
 NO_INNOVATION: Final = 1e-12
-# Most levels of the command of a switching controller.
+# Levels of the command of a relay, and of one with a dead zone: three may also be those of a
+# record that was rounded.
+RELAY: Final = 2
 SWITCHED: Final = 3
 # Share of the samples in which a relay that is computed from the noisy output may differ, and
 # relative error of a harmonic that a law need not explain: of the sampling.

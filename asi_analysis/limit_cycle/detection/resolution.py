@@ -62,7 +62,7 @@ def exceeds_rounding(found: HarmonicFit, time_s: Array, values: Array) -> bool:
         rounded = [np.abs(_rounding(scale * wave + drift + shift, step) @ turn[:, None] ** -order)
                    for scale in 1.0 + UNSURE * step / found.amplitude for shift in UNSURE * step]
         least = np.maximum(least, 4.0 / len(values) * np.max(rounded, axis=0))
-    return bool((sizes > least).any())
+    return bool(found.thd > 0.0 and (sizes > least).any())
 
 
 def _rounding(values: Array, step: float) -> Array:

@@ -18,7 +18,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.limit_cycle.detection import drive
 from asi_analysis.limit_cycle.detection import envelope as env
 from asi_analysis.limit_cycle.detection import segments as seg
-from asi_analysis.limit_cycle.detection.feedback import levels_of
+from asi_analysis.limit_cycle.detection.feedback import RELAY, levels_of
 from asi_analysis.limit_cycle.detection.pieces import (
     FEWEST_CYCLES,
     NOISE_FLOOR_SHARE,
@@ -367,9 +367,9 @@ def _harmonics(run: Run, name: str, piece: Piece) -> str:
         return ''
     t, values = one_of_each(*valid_samples(inside.time_s, inside.command_n), frequency)
     command = fit(*reduce(t, values, frequency), frequency)
-    # The levels of a switching controller are no resolution of its record.
+    # The levels of a relay are no resolution of its record.
     if command is None or len(command.harmonics) < 2 or not (
-            levels_of(values) or exceeds_rounding(command, t, values)):
+            levels_of(values) == RELAY or exceeds_rounding(command, t, values)):
         return ''
     return f'harmonics of {100 * command.thd:.2g} % in the command'
 

@@ -67,3 +67,13 @@ def test_one_factor_of_the_command_or_the_motion_is_one_change(push, seen, verdi
     value, = answer.which[0]['parameters'].values()
     assert value == pytest.approx(size, abs=0.03)
     assert f'gain of the {verdict.split("_")[0]}' in str(answer)
+
+
+def test_a_band_ends_where_nothing_is_above_the_noise_not_at_the_first_gap():
+    time = 0.004 * np.arange(4000)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(time.size)
+    slow = 0.6 * np.sin(2.0 * np.pi * 0.4 * time)
+    assert steady_band(slow + noise, 1e-3, 0.004) < 8.0
+    assert 12.0 < steady_band(
+        slow + 0.03 * np.sin(2.0 * np.pi * 12.0 * time) + noise, 1e-3, 0.004) < 14.0
+    assert steady_band(slow[:6], 1e-3, 0.004) >= 0.0

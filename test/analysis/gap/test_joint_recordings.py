@@ -12,7 +12,7 @@ from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joint_files import isaac_of
 from asi_analysis.gap.answer.joint_model import JointModel, moved_by
 from asi_analysis.gap.inference.plausibility import check_joint
-from asi_analysis.gap.model.joint import joint_groups
+from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.recordings import (
     against_healthy,
     units_not_given,
@@ -41,6 +41,14 @@ def test_an_angle_that_wraps_is_unwrapped_with_its_reference_and_told():
     assert 'whole turns' in notes[0]
 
 
+def test_a_reference_that_steps_across_the_wrap_stays_with_its_position():
+    wave = np.sin(2.0 * np.pi * 0.5 * TIME_S)
+    angle, asked = 3.15 + 0.65 * wave, np.where(wave > 0.0, 3.8, 2.5)   # 3.8 rad is read as -2.5
+    read = [np.arctan2(np.sin(each), np.cos(each)) for each in (angle, asked)]
+    run, notes = unwrapped(turning(read[0], reference_n=read[1]))
+    assert notes and run.reference_n - run.position_m == pytest.approx(asked - angle)
+
+
 @pytest.mark.parametrize('angle', [
     ANGLE, np.where(TIME_S > 4.0, 4.0, 0.0), np.where(TIME_S > 4.0, 13.0, 0.0) + ANGLE])
 def test_other_jumps_are_left(angle):
@@ -62,17 +70,33 @@ def test_what_is_given_twice_counts_once():
     run, other = turning(ANGLE), turning(2.0 * ANGLE)
     kept, notes = without_repeats([run, replace(run, source='copy'), other])
     assert kept == [run, other] and 'copy: holds the same samples as arm' in notes[0]
-    assert 'compared with itself' in against_healthy([run], [run])[0]
-    assert against_healthy([run], [other]) == []
+    assert 'compared with itself' in against_healthy([run], [run], None)[0]
+    assert against_healthy([run], [other], None) == []
 
 
 def test_healthy_recordings_of_another_kind_are_refused_by_their_signals():
     servo = turning(ANGLE, reference_n=ANGLE)
     with pytest.raises(InputError, match='other signals: here command and position'):
-        against_healthy([turning(ANGLE)], [replace(servo, command_n=None)])
+        against_healthy([turning(ANGLE)], [replace(servo, command_n=None)], None)
     measured = replace(turning(ANGLE), force_n=np.cos(TIME_S))
     with pytest.raises(InputError, match='other signals'):
-        against_healthy([turning(ANGLE)], [measured])
+        against_healthy([turning(ANGLE)], [measured], None)
+
+
+def test_a_machine_that_follows_worse_than_its_healthy_self_is_compared_with_it():
+    good, bad = (turning(ANGLE, reference_n=ahead * ANGLE, force_n=np.cos(TIME_S))
+                 for ahead in (1.05, 1.2))
+    good, bad = (replace(run, command_n=None) for run in (good, bad))
+    assert drive_of([good]) != drive_of([bad])
+    assert against_healthy([bad], [good], None) == []
+
+
+def test_a_slow_joint_on_a_spring_is_no_swap_of_columns():
+    run = joint(friction=0.1).between(0.0, 6.0)
+    time = run.time_s - run.time_s[0]
+    angle = np.interp(time, [0.0, 1.5, 4.5, 6.0], [0.0, 0.5, -0.5, 0.0])
+    slow = replace(run, position_m=angle, command_n=5.0 * angle + 0.01 * np.sin(30.0 * time))
+    check_joint(joint_groups([slow], {}, 0.2, [False], 'force')[0][-1])
 
 
 def test_a_force_of_another_motion_and_swapped_columns_are_refused():

@@ -21,6 +21,7 @@ from asi_analysis.limit_cycle.attribution.ablation import (
 from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
 from asi_analysis.limit_cycle.attribution.recording import _weighed, attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
+from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import simulate
@@ -244,6 +245,15 @@ def test_a_switching_controller_is_told_by_its_command():
     assert found.causes[0]['nonlinearity'] == 'switching_controller'
     assert found.causes[0]['probability'] > 0.7 and 'a switching controller' in found.verdict
     assert sum(cause['probability'] for cause in found.causes) == pytest.approx(1.0)
+
+
+def test_a_record_that_was_rounded_to_three_levels_is_no_switching_controller():
+    time_s = 0.01 * np.arange(4000)
+    output = np.sin(2.0 * np.pi * time_s) + 0.01 * np.random.default_rng(1).standard_normal(4000)
+    run = Run(time_s, np.zeros(4000), np.round(-1.2 * output), output)
+    assert all(segment.verdict != 'limit_cycle' for segment in judge_run(run))
+    assert all(cause['nonlinearity'] != 'switching_controller' or cause['probability'] == 0.0
+               for cause in attribute_cycle(run).causes)
 
 
 def test_a_cycle_of_the_loop_is_no_disturbance_as_surely():

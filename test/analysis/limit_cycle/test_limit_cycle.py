@@ -215,7 +215,7 @@ def test_a_recording_driven_open_loop_is_no_limit_cycle():
     driven = Run(t, force_n=motion + 0.01 * random.standard_normal(t.size), command_n=command)
     for segment in judge_run(driven):
         assert segment.verdict != 'limit_cycle'
-    assert 'does not answer the output' in segment.why
+    assert 'nothing shows that the command answers the output' in segment.why
 
 
 @pytest.mark.parametrize('reference', [0.0, np.nan])
