@@ -213,7 +213,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         extent, healthy = _in_one_band(runs, healthy, drive, extent, lambda of, to: diagnose(
             of, model, plant, tolerance, None, drive, report, tolerances, extent=to))
     groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy, extent)
-    own = {field_name(name): share for name, share in tolerances.items()}
+    given = {field_name(name): share for name, share in tolerances.items()}
+    own = dict(given)
     uncertain = sorted({DOTTED.get(free.field, free.field) for group in (*groups, *simulated)
                         for free in group.nuisance if free.scale == 'nominal'}
                        | ({DOTTED[GAIN]} if plant == 'actuator' else set()))
@@ -281,15 +282,17 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             def made(to: Extent) -> Sequence[Group]:
                 was = healthy and diagnose(healthy.runs, model, plant, tolerance, None, drive,
                                            report, tolerances, extent=to)
-                tried[to] = was, _machine_of(was, own) if was else {}
+                tried[to] = was, _machine_of(was, given) if was else {}
                 others, _ = _joint(runs, model, tolerance, out, drive, was, to if not was else
                                    to._replace(band_hz=min(to.band_hz, was.extent.band_hz)))
+                others = [with_tolerances(each, given) for each in others]
                 return [against(each, tried[to][1]) for each in others] if was else others
 
             for other in (with_hidden_load, with_lower_band):
-                weighed, more, extent = other(weighed, made, extent, own, tick)
+                weighed, more, extent = other(weighed, made, extent, tick)
                 notes += more
             healthy, machine = tried.get(extent, (healthy, machine))
+            own = given | shares(machine)
         if plant == 'static':
             weighed = [at_one_rate(each) for each in weighed]
     if machine:

@@ -161,8 +161,7 @@ def steady_band(signal: Array, noise: float, period: float) -> float:
     sums = np.cumsum(np.concatenate([[0.0], power]))
     last = np.minimum(np.arange(power.size) + width, power.size)
     mean = (sums[last] - sums[:-1]) / (last - np.arange(power.size))
-    clear = np.flatnonzero((mean > SIGNAL_TO_NOISE * 2.0 * period * noise ** 2)
-                           & (power > SIGNAL_TO_NOISE * 2.0 * period * noise ** 2))
+    clear = np.flatnonzero(np.minimum(mean, power) > SIGNAL_TO_NOISE * 2.0 * period * noise ** 2)
     return float(frequency[clear[-1]]) if clear.size else 0.0
 
 

@@ -1,19 +1,19 @@
 """Gravity or a spring of a joint, or a servo's order, found only together with an effect."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, weigh_groups
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_analysis.gap.model.gravity import ACCEPTED_RESIDUAL
-from asi_analysis.gap.model.group import Group, with_tolerances
+from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.joint import Extent
 
 ABOVE_NOISE = 1.5   # multiple of the noise variance below which a servo is explained
 
 
 def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence[Group]],
-                     extent: Extent, tolerances: Mapping[str, float], tick: Callable[[], None]
+                     extent: Extent, tick: Callable[[], None]
                      ) -> tuple[list[Weighed], list[str], Extent]:
     """
     Return the groups of a joint with what was hidden in every fit, if needed.
@@ -21,7 +21,7 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence
     And notes, and their extent. It is gravity or a spring; of a servo, its second order;
     and needed if no effect explains the gap without it, one does with it, and the residual power
     is then below ACCEPTED_RESIDUAL of that before.
-    weighed: without it; groups: returns those of another extent; tolerances: by field.
+    weighed: without it; groups: returns those of another extent.
     """
     without = weighed[-1].group
     channel = without.channels[-1]
@@ -33,7 +33,7 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence
                without.error_floor[channel]):
         return weighed, [], extent
     whole = extent._replace(hidden=True)
-    group = with_tolerances(groups(whole)[-1], tolerances)
+    group = groups(whole)[-1]
     if len(group.nuisance) == len(without.nuisance):
         return weighed, [], extent
     refitted, = weigh_groups([group], tick)

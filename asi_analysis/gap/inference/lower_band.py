@@ -1,6 +1,6 @@
 """A load that rattles in its backlash, compared with the model at low frequencies only."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 from asi_analysis.gap.inference.hypotheses import Weighed, weigh_groups
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.model.effects import UNKNOWN
-from asi_analysis.gap.model.group import Group, with_tolerances
+from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.joint import Extent
 from asi_analysis.gap.model.predict import measured
 
@@ -22,14 +22,13 @@ JUDGED: Final = ('a load that rattles in its gap is judged up to {:g} Hz: above 
 
 
 def with_lower_band(weighed: list[Weighed], groups: Callable[[Extent], Sequence[Group]],
-                    extent: Extent, tolerances: Mapping[str, float], tick: Callable[[], None]
+                    extent: Extent, tick: Callable[[], None]
                     ) -> tuple[list[Weighed], list[str], Extent]:
     """
     Return the groups of a joint, in a lower band if backlash explains them only there.
 
     And notes, and their extent. The times of impacts depend on small errors, and each impact has a
-    wide spectrum. weighed: in the whole band; groups: returns those of another extent;
-    tolerances: by field.
+    wide spectrum. weighed: in the whole band; groups: returns those of another extent.
     """
     last = weighed[-1]
     if last.group.channels != ('load',) or marginals(last.probability)[UNKNOWN] < 0.5:
@@ -42,7 +41,7 @@ def with_lower_band(weighed: list[Weighed], groups: Callable[[Extent], Sequence[
     beside: tuple[Weighed, Extent] | None = None
     for band_hz in (each for each in BANDS_HZ if each < extent.band_hz):
         lower = extent._replace(band_hz=band_hz)
-        refitted, = weigh_groups([with_tolerances(groups(lower)[-1], tolerances)], tick)
+        refitted, = weigh_groups([groups(lower)[-1]], tick)
         chance = marginals(refitted.probability)
         if chance['backlash'] > 0.5 > chance[UNKNOWN]:
             return [*weighed[:-1], refitted], [JUDGED.format(band_hz)], lower
