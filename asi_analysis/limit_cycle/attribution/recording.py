@@ -20,7 +20,7 @@ from asi_analysis.limit_cycle.attribution.classifier import (
 from asi_analysis.limit_cycle.attribution.shape import FEWEST_CYCLES, MOST_CYCLES, Shape, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
 from asi_analysis.limit_cycle.detection.feedback import RELAY, levels_of
-from asi_analysis.limit_cycle.detection.verdict import Segment, response_of
+from asi_analysis.limit_cycle.detection.verdict import AT_REST, Segment, response_of
 from asi_analysis.measures.quality import Trust, findings, quality_of, trust
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import completed
@@ -70,7 +70,7 @@ def _segment_of(run: Run, signal: str | None) -> Segment:
     its shape over all of it.
     """
     segments = judge_run(run, signal)
-    moving = [s for s in segments if s.why != 'the signal does not move'] or segments
+    moving = [s for s in segments if s.why != AT_REST] or segments
     swings = [s for s in moving if s.verdict != 'noise'] or moving
     chosen = max(swings, key=lambda s: s.end_s - s.start_s)
     if chosen.end_s - chosen.start_s < LEAST_PART * run.duration_s:
