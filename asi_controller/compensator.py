@@ -31,12 +31,12 @@ from asi_controller.additions.reference_model import (
 )
 from asi_controller.additions.velocity_feedforward import advanced, compensation, followed
 from asi_controller.compensators import COMPENSATORS
-from asi_controller.design import MOST_POLES, Design
+from asi_controller.design import MOST_POLES, PREWARP_HZ, Design
 from asi_controller.parameters import ADDITION_PARAMETERS, COMPENSATOR_PARAMETERS
 from asi_controller.sections import second_order_sections
 
-# The phase is most important at the frequency of the limit cycle.
-PREWARP_HZ: Final = 90.0
+# A change of the gain multiplies the memory by the ratio of the gains, which must stay finite.
+LEAST_GAIN: Final = 1e-100
 MOST_SECTIONS: Final = MOST_POLES // 2 + 1   # the last for the notch
 # The gain in use while the parameter `gain` is 0, by compensator.
 OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
@@ -74,19 +74,33 @@ COMPENSATOR_DTYPE = np.dtype([
 ])
 
 
-def design(values: Mapping[str, Value]) -> Design:
+def design(values: Mapping[str, Value], rate_hz: float | None = None) -> Design:
     """
     Return the compensator of the parameters, in continuous time.
 
+    rate_hz: the control rate of the discrete one: its notch is then where `discretise`
+    puts it at its frequency.
     Raises ParameterError if a parameter or the combination is not allowed.
     """
     v = completed(values, COMPENSATOR_PARAMETERS)
+    if rate_hz is not None:
+        _check_rate(rate_hz)
+    if 0.0 < float(v['gain']) < LEAST_GAIN:
+        raise ParameterError(f'gain = {v["gain"]!r} is not allowed: it is 0, or at least '
+                             f'{LEAST_GAIN:g}')
     chosen = COMPENSATORS[str(v['compensator'])]
     found = chosen.design(float(v['gain']) or chosen.gain, **{
         parameter.name: with_its_type(parameter, v[f'{chosen.name}.{parameter.name}'])
         for parameter in chosen.parameters})
     return with_notch(found, float(v['notch.frequency']), float(v['notch.depth']),
-                      float(v['notch.width']))
+                      float(v['notch.width']), rate_hz)
+
+
+def _check_rate(rate_hz: float) -> None:
+    """Raise ParameterError if a control rate does not allow the prewarping."""
+    if not 2.0 * PREWARP_HZ < rate_hz < math.inf:
+        raise ParameterError(f'a control rate of {rate_hz:g} Hz is not allowed: the compensators '
+                             f'need more than {2.0 * PREWARP_HZ:g} Hz')
 
 
 def _discrete(root: complex, rate_hz: float) -> complex:
@@ -133,9 +147,7 @@ def discretise(design_: Design, rate_hz: float) -> tuple[
     because that is where anti-windup must act.
     Raises ParameterError if the control rate is too low, or a root too slow or too fast for it.
     """
-    if not 2.0 * PREWARP_HZ < rate_hz < math.inf:
-        raise ParameterError(f'a control rate of {rate_hz:g} Hz is not allowed: the compensators '
-                             f'need more than {2.0 * PREWARP_HZ:g} Hz')
+    _check_rate(rate_hz)
     poles, zeros = ([_discrete(root, rate_hz) for root in roots]
                     for roots in (design_.poles, design_.zeros))
     if (any(abs(pole) > 1.0 - 1e-13 for pole in poles)
@@ -165,7 +177,7 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
     Raises ParameterError if a parameter or the combination is not allowed.
     """
     v = completed(values, COMPENSATOR_PARAMETERS)
-    design_ = design(v)
+    design_ = design(v, rate_hz)
     sections, lag = discretise(design_, rate_hz)
     c = np.zeros(1, COMPENSATOR_DTYPE)[0]
     c['gain'], c['feedforward'], c['saturation'] = (
@@ -291,7 +303,10 @@ def compensate(c, reference, measured, velocity):
     out = c.lag[0] * value + c.lag_memory
     linear = c.gain * out + direct
     if c.changed == 1:
-        c.bias = c.command - _through_inverse(c, linear)
+        # While both are saturated there is no step to fade in. The excess is no part of it: as a
+        # bias it would outlast the saturation.
+        begin, wanted = _limited(c, c.command), _through_inverse(c, linear)
+        c.bias = 0.0 if begin == _limited(c, wanted) else begin - wanted
         c.changed = 0
     unlimited = _through_inverse(c, linear) + c.bias
     c.command = _limited(c, unlimited)

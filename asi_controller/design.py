@@ -5,6 +5,9 @@ from typing import Final, NamedTuple
 
 from asi_common.parameter import Parameter
 
+# The discrete compensator has the response of the design at this frequency: the phase is most
+# important at that of the limit cycle.
+PREWARP_HZ: Final = 90.0
 # Capacity of the record for compiled code.
 MOST_POLES: Final = 16
 

@@ -38,8 +38,8 @@ REFERENCE_PARAMETERS: tuple[Parameter, ...] = (
               'the controller makes', choices=SHAPES),
     Parameter('reference.amplitude', 100.0, 'N', 'Size of the signal', -1e4, 1e4),
     Parameter('reference.offset', 0.0, 'N', 'Force about which the signal moves', -1e4, 1e4),
-    Parameter('reference.start', 0.05, 's', 'Rest at the offset before the signal begins',
-              0.0, 1e4),
+    Parameter('reference.start', 0.05, 's', 'Rest at the offset before the signal begins, at the '
+              'start and after each change of a parameter of the reference', 0.0, 1e4),
     Parameter('reference.end', 0.0, 's', 'Time from its start at which the signal ends, at the '
               'offset; 0: never', 0.0, 1e5),
     Parameter('reference.duration', 1.0, 's', "Time of the ramp; time of the chirp's sweep",

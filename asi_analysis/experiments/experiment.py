@@ -76,8 +76,9 @@ def checked(experiment: Experiment) -> Experiment:
         from asi_controller.compensator import design, discretise
         completed(experiment.node_parameters, ACTUATOR_NODE_PARAMETERS)
         controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
-        discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}),
-                   experiment.control_rate_hz)
+        rate_hz = experiment.control_rate_hz
+        discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}, rate_hz),
+                   rate_hz)
         complete = replace(experiment, controller=controller, actuator=completed(
             experiment.actuator, PHYSICS[experiment.plant]))
         if experiment.plant == 'joint':

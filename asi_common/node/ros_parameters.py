@@ -4,6 +4,7 @@ A table of parameters as ROS parameters: the same for every node.
 The on-set callback checks a whole set and changes nothing; the post-set callback applies it.
 """
 
+import math
 from collections.abc import Callable, Mapping
 
 from rcl_interfaces.msg import (
@@ -17,7 +18,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from asi_common.node.topics import QOS_OVERRIDES, check_qos_override
-from asi_common.parameter import Parameter, ParameterError, Value, completed
+from asi_common.parameter import Parameter, ParameterError, Value, completed, is_number
+from asi_common.parameter_file import read_scalar
 
 # What rclpy declares by itself.
 OF_EVERY_NODE = ('use_sim_time', 'start_type_description_service', QOS_OVERRIDES)
@@ -99,9 +101,24 @@ class RosParameters:
             return RosParameter(given.name, RosParameter.Type.DOUBLE, float(given.value))
         return given
 
+    def _number(self, given: RosParameter) -> RosParameter:
+        """
+        Return a text that is a number as one, where a float is meant.
+
+        `ros2 param set` and `ros2 param load` read numbers by YAML 1.1, for which 1e-05 is a text;
+        load sends 1.0e-05, as `ros2 param dump` writes it, as this text too.
+        """
+        wanted = self._table.get(given.name)
+        if (wanted is not None and isinstance(wanted.default, float)
+                and given.type_ == RosParameter.Type.STRING):
+            number = read_scalar(given.value)
+            if is_number(number) and math.isfinite(number):
+                return RosParameter(given.name, RosParameter.Type.DOUBLE, float(number))
+        return given
+
     def _pre_set(self, given: list[RosParameter]) -> list[RosParameter]:
         unknown = [p.name for p in given if not self._node.has_parameter(p.name)]
-        given = [self._typed(parameter) for parameter in given]
+        given = [self._typed(self._number(parameter)) for parameter in given]
         for reason in filter(None, map(self._problem, given)):
             self._refused(reason)
         if unknown:

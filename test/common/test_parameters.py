@@ -88,6 +88,14 @@ def test_what_is_typed_is_taken(
     controller.wait_for('[asi_controller]: gain = 8.0')
     value = get_parameters('asi_controller', ['gain'])['gain']
     assert value == 8.0 and isinstance(value, float)
+    # And 1e-05, from the command line or a dumped file, as a text.
+    assert all(each.successful for each in set_parameters('asi_controller', {
+        'feedforward': '2e-05', 'transfer_time': '1e-2'}))
+    assert get_parameters('asi_controller', ['feedforward', 'transfer_time']) == {
+        'feedforward': 2e-05, 'transfer_time': 0.01}
+    for text in ('nan', '.inf', '1e5', 'true', ''):
+        result, = set_parameters('asi_controller', {'gain': text})
+        assert not result.successful and 'gain' in result.reason, text
 
 
 def test_quality_of_service_is_overridden_by_parameters(

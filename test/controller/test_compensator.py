@@ -215,6 +215,17 @@ def test_change_while_running_makes_no_step(before: dict[str, Value], after: dic
     assert steps[10:].max() < 0.03
 
 
+@pytest.mark.parametrize('saturation', [1500.0, 1000.0])
+def test_change_while_saturated_leaves_the_command_there(saturation: float) -> None:
+    # The excess was faded in as if it were a step: the command fell to an eighth for 20 ms.
+    values: dict[str, Value] = {'gain': 6.0, 'saturation': 1500.0}
+    c = compensator(values, RATE)
+    before = [compensate(c, 2000.0, 0.0, 0.0) for _ in range(3)]
+    c = compensator(values | {'gain': 6.01, 'saturation': saturation}, RATE, c)
+    after = [compensate(c, 2000.0, force, 0.0) for force in (0.0, 500.0, 1500.0)]
+    assert before == [1500.0] * 3 and after == [saturation] * 3
+
+
 def test_change_between_compensators_with_a_lag_leaves_the_force() -> None:
     # Without feed-forward it is the lag that holds the force: each at its own static gain.
     bare: dict[str, Value] = {'feedforward': 0.0}
@@ -253,6 +264,7 @@ def test_clipped_kick_of_a_lead_leaves_nothing_behind() -> None:
     ({'custom.poles': '-1e22'}, r'too slow or too fast'),
     ({'custom.zeros': '-1e-17', 'custom.poles': '-9'}, r'too slow or too fast'),
     ({'gain': math.nan}, r'gain = nan is not allowed'),
+    ({'gain': 1e-310}, r'gain = 1e-310 is not allowed: it is 0, or at least 1e-100'),
     ({'saturation': 0.0}, r'saturation = 0\.0 is not allowed'),
     ({'compensator': 'pid'}, r'compensator = .pid. is not allowed: it takes one of'),
 ], ids=str)

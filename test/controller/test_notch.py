@@ -34,11 +34,28 @@ def test_notch_divides_the_response_of_the_compensator(
 @pytest.mark.parametrize('without', [
     {'compensator': 'lead_lag'}, {'compensator': 'proportional'},
     {'compensator': 'custom', 'custom.poles': ', '.join(['-5000'] * 16)}])
-def test_notch_is_there_at_the_control_rate(without: dict[str, Value]) -> None:
-    deep = without | with_notch(90.0, 0.1, 30.0)   # where the discrete response is the design's
-    ratio = (frequency_response(compensator(deep, 5000.0), [90.0], 5000.0)
-             / frequency_response(compensator(without, 5000.0), [90.0], 5000.0))
-    assert abs(ratio[0]) == pytest.approx(0.1, rel=1e-6)
+@pytest.mark.parametrize(('frequency', 'rate'), [(90.0, 5000.0), (300.0, 1000.0),
+                                                 (470.0, 1000.0), (2000.0, 5000.0)])
+def test_notch_is_there_at_the_control_rate(
+        without: dict[str, Value], frequency: float, rate: float) -> None:
+    # Without its own prewarping, that at 300 Hz was at 245 Hz.
+    depth, width = 0.1, 30.0
+    at = np.linspace(1.0, 0.499 * rate, 10**5)
+    response, rest = (frequency_response(compensator(each, rate), at, rate)
+                      for each in (without | with_notch(frequency, depth, width), without))
+    ratio = np.abs(response / rest)
+    assert at[ratio.argmin()] == pytest.approx(frequency, abs=0.1)
+    assert ratio.min() == pytest.approx(depth, rel=1e-3)
+    inside = at[ratio < math.sqrt(0.5 * (1.0 + depth**2))]
+    assert np.ptp(inside) == pytest.approx(width, abs=0.1)
+
+
+@pytest.mark.parametrize('wrong', [with_notch(500.0, 0.3, 100.0), with_notch(200.0, 0.3, 500.0)])
+def test_notch_that_the_control_rate_does_not_allow_is_refused(wrong: dict[str, Value]) -> None:
+    with pytest.raises(ParameterError, match=r'notch\..* = 500 is not allowed at a control rate '
+                                             r'of 1000 Hz'):
+        compensator(wrong, 1000.0)
+    compensator(wrong, 5000.0)
 
 
 def test_notch_so_slow_that_it_is_none_is_refused() -> None:
