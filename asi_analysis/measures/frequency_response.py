@@ -17,6 +17,7 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.correlation import correlation_delay
+from asi_analysis.measures.oscillation import fit_sine, sine_frequency
 from asi_analysis.measures.step_response import Step, largest_step, step_responses
 from asi_analysis.reporting.result import Pictures, Result, Table, frame, number
 
@@ -89,17 +90,25 @@ def phase_delay(frequency_hz: Array, response: Complex,
     return float(-np.sum(weights * omega * phase) / np.sum(weights * omega**2))
 
 
-def _strongest_hz(run: Run) -> float:
-    """Return the frequency (Hz) of the strongest line of the reference."""
-    assert run.reference_n is not None
-    values = np.nan_to_num(run.reference_n - np.nanmean(run.reference_n))
-    power = np.abs(np.fft.rfft(signal.windows.hann(values.size) * values))
-    return float(np.argmax(power) / (values.size * run.period_s))
+def _at_its_frequency(time: Array, sine: Array, output: Array) -> tuple[float, complex] | None:
+    """
+    Return the frequency (Hz) of a sine, and the response of an output to it.
+
+    None if the output does not follow it. The lines of a spectrum are too coarse for few cycles.
+    """
+    moves = np.flatnonzero(np.diff(sine))   # before and after it rests
+    moving = slice(int(moves[0]), int(moves[-1]) + 2)
+    time, sine, output = time[moving], sine[moving], output[moving]
+    frequency = sine_frequency(time, sine - sine.mean())
+    answer, left = fit_sine(time, output, frequency)
+    if not np.var(left) <= (1.0 - COHERENT) * np.var(output):
+        return None
+    return frequency, answer / fit_sine(time, sine, frequency)[0]
 
 
 def is_sine(values: Array) -> bool:
     """Return whether nearly all of a signal is a single sine, of which one frequency is known."""
-    if np.ptp(values) == 0.0:
+    if values.size < 3 or np.ptp(values) == 0.0:
         return False
     window = signal.windows.hann(values.size)
     power = np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2
@@ -202,13 +211,18 @@ def step_bandwidth(run: Run, step: Step) -> float | None:
     return bandwidth(np.fft.rfftfreq(lines, run.period_s)[1:].astype(np.float64), gain[1:])
 
 
+def _is_driven_by_a_sine(run: Run, name: str) -> bool:
+    """Return whether the reference, or without one the named signal, is a single sine."""
+    driving = run.signal(name) if run.reference_n is None else run.reference_n
+    return is_sine(driving[np.isfinite(driving)])
+
+
 def actuator_bandwidth(run: Run, name: str = 'force') -> float | None:
     """Return the bandwidth (Hz) from command to a signal; None if it cannot be measured."""
     output = run.signals().get(name)
     if run.command_n is None or output is None:
         return None
-    driving = run.command_n if run.reference_n is None else run.reference_n
-    if is_sine(driving[np.isfinite(driving)]):
+    if _is_driven_by_a_sine(run, 'command'):
         return None
     response = estimate(run.command_n, output, run.period_s)
     return response.bandwidth_hz if response else None
@@ -240,16 +254,18 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
         found = step_bandwidth(run, step)
         return Bandwidth(found, 'step', None, lag, None if found else
                          'the step response does not settle')
+    if is_sine(run.reference_n[valid]):
+        found_there = _at_its_frequency(run.time_s[valid], run.reference_n[valid], output[valid])
+        if found_there is None:
+            return Bandwidth(None, None, None, lag, TOO_POOR)
+        frequency_hz, ratio = found_there
+        phase_deg = round(math.degrees(np.angle(ratio)))
+        return Bandwidth(None, None, None, None, (
+            f'the reference is a single sine of {frequency_hz:.4g} Hz, which shows only the gain '
+            f'there, {abs(ratio):.3g}, and the phase, {phase_deg} degrees'))
     response = estimate(run.reference_n, output, run.period_s)
     if response is None:
         return Bandwidth(None, None, None, lag, TOO_POOR)
-    if is_sine(run.reference_n[np.isfinite(run.reference_n)]):
-        k = int(np.argmin(np.abs(response.frequency_hz - _strongest_hz(run))))
-        ratio = response.response[k]
-        return Bandwidth(None, None, None, None, (
-            f'the reference is a single sine of {response.frequency_hz[k]:.4g} Hz, which '
-            f'shows only the gain there, {abs(ratio):.3g}, and the phase, '
-            f'{math.degrees(np.angle(ratio)):.0f} degrees'))
     reason = None if response.bandwidth_hz else (
         f'the gain does not fall by 3 dB up to {response.frequency_hz[-1]:.4g} Hz, the highest '
         'frequency that is excited')
@@ -294,7 +310,8 @@ def frequency_response(run: Run, input: str = 'reference', output: str | None = 
     names of signals, the output by default the controlled one. Gain in units of output
     over input, phase in degrees, bandwidth in Hz (-3 dB), delay in s. Frequencies without
     excitation, or where the coherence is below 0.8, are left out. Raises InputError for a signal
-    that was not recorded, for a reference of a few steps, or if fewer than 3 frequencies are left.
+    that was not recorded, for a reference of a few steps or a single sine, or if fewer than 3
+    frequencies are left.
 
     H1 estimator: Bendat and Piersol, Random Data, 4th ed., section 6.1.
 
@@ -309,6 +326,9 @@ def frequency_response(run: Run, input: str = 'reference', output: str | None = 
     if input == 'reference' and 0 < len(step_responses(run)) < FEWEST_STEPS:
         raise InputError(f'{run.source or "run"}: a step excites too few frequencies: use '
                          'step_response, or record a chirp, multisine or PRBS')
+    if _is_driven_by_a_sine(run, input):
+        raise InputError(f'{run.source or "run"}: a single sine shows one frequency only: record '
+                         'a chirp, multisine or PRBS')
     found = estimate(run.signal(input), run.signal(output), run.period_s)
     if found is None:
         raise InputError(f'{run.source or "run"}: {TOO_POOR}')

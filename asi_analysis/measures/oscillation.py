@@ -183,6 +183,15 @@ def fit_sine(time: Array, values: Array, frequency_hz: float) -> tuple[complex, 
     return complex(weights[0], -weights[1]), values - basis @ weights
 
 
+def sine_frequency(time: Array, values: Array) -> float:
+    """Return the frequency (Hz) of the sine that is nearest to a signal (least squares)."""
+    guess, resolution = dominant_frequency(time, values, 0.5, 0), 1.0 / (time[-1] - time[0])
+    return float(optimize.minimize_scalar(
+        lambda f: float(np.sum(fit_sine(time, values, f)[1]**2)),
+        bounds=(max(guess - resolution, 0.1 * resolution), guess + resolution), method='bounded',
+        options={'xatol': 1e-4 * resolution}).x)
+
+
 def amplitude_at(values: Array, frequency_hz: float, rate_hz: float) -> complex:
     """Return the complex amplitude of n samples, whole periods, at a frequency, by projection."""
     angle = 2.0 * np.pi * frequency_hz * np.arange(len(values)) / rate_hz
@@ -210,11 +219,7 @@ def _period(time: Array, drive: Array, noise_floor: float) -> float | None:
     drive = drive - drive.mean()
     if np.ptp(drive) <= noise_floor:
         return 0.0
-    guess, resolution = dominant_frequency(time, drive, 0.5, 0), 1.0 / (time[-1] - time[0])
-    frequency = float(optimize.minimize_scalar(
-        lambda f: float(np.sum(fit_sine(time, drive, f)[1]**2)),
-        bounds=(max(guess - resolution, 0.1 * resolution), guess + resolution), method='bounded',
-        options={'xatol': 1e-4 * resolution}).x)
+    frequency = sine_frequency(time, drive)
     _, residual = fit_sine(time, drive, frequency)
     # The residual of a triangle has 1.4 % of its power; of a chirp or a PRBS most of it.
     return None if np.var(residual) > 0.05 * np.var(drive) else 1.0 / frequency

@@ -10,6 +10,7 @@ from scipy import optimize, signal
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
+from asi_analysis.errors import InputError
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
@@ -17,6 +18,7 @@ from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.frequency_response import (
     actuator_bandwidth,
     estimate,
+    frequency_response,
     is_sine,
     loop_bandwidth,
 )
@@ -99,6 +101,22 @@ def test_a_single_sine_tells_no_bandwidth():
     assert '0.7' in found.reason and '-29 degrees' in found.reason
 
 
+@pytest.mark.parametrize('cycles', [1.0, 1.4, 2.0, 4.0, 5.4])
+def test_a_sine_of_few_cycles_has_its_own_frequency(cycles):
+    """That of 2 cycles had 2.5 times its frequency: the first line of the spectrum in use."""
+    t = np.arange(4100) / 1000.0
+    turn = np.maximum(t - 0.1, 0.0) * 2.0 * np.pi * cycles / 4.0
+    run = Run(t, reference_n=100.0 * np.sin(turn), force_n=70.0 * np.sin(turn - 0.2))
+    reason = loop_bandwidth(run).reason
+    assert f'single sine of {cycles / 4.0:.4g} Hz' in reason
+    assert ' 0.7, ' in reason and '-11 degrees' in reason
+    with pytest.raises(InputError, match='a single sine shows one frequency only'):
+        frequency_response(run)   # its spectrum is that of the ends of the recording
+    noise = np.random.default_rng(1).standard_normal(t.size)
+    unrelated = Run(t, reference_n=run.reference_n, force_n=noise)
+    assert 'too few frequencies' in loop_bandwidth(unrelated).reason
+
+
 @pytest.mark.parametrize('cycles', [1.0, 1.4, 2.6, 9.3])
 def test_a_sine_is_one_in_any_number_of_cycles_and_stairs_are_none(cycles):
     """The harmonics of a slow wave are among the lines next to it."""
@@ -106,6 +124,7 @@ def test_a_sine_is_one_in_any_number_of_cycles_and_stairs_are_none(cycles):
     stairs = np.floor(8.0 * np.abs(2.0 * (turn % 1.0) - 1.0))
     assert is_sine(3.0 + np.sin(2.0 * np.pi * turn + 1.0))
     assert not is_sine(stairs)
+    assert not is_sine(np.empty(0))
     for constant in (0.0, 0.1, 3.3):   # and no warning: the noise of rounding has no shape
         assert not is_sine(np.full(1000, constant))
     last = np.zeros(20000)
