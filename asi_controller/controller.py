@@ -11,7 +11,7 @@ from asi_common.record import record_of
 from asi_controller.compensator import REST, compensate, compensator
 from asi_controller.compensators import COMPENSATORS
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
-from asi_controller.reference import TOPIC, reference_force
+from asi_controller.reference import TOPIC, check_frequencies, reference_force
 
 
 @jit
@@ -57,6 +57,7 @@ class Controller:
         """Raise ParameterError if a combination of parameters is not allowed."""
         chosen = _of(COMPENSATOR_PARAMETERS, values)
         compensator(chosen, rate_hz)
+        check_frequencies(values, rate_hz)
         for each in COMPENSATORS.values():
             # A wrong text is refused when it is set, not when its compensator is selected.
             if any(isinstance(parameter.default, str) for parameter in each.parameters):

@@ -1,13 +1,35 @@
 """Reference signals of the controller's generator: compiled functions of time."""
 
 import math
+from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 
 from asi_common.jit import jit
+from asi_common.parameter import ParameterError, Value
 from asi_controller.parameters import SHAPES
 
 TOPIC, STEP, RAMP, SINE, TRIANGLE, CHIRP, MULTISINE, PRBS = range(len(SHAPES))
+# Frequencies of each signal; the tones of a multisine and a chirp are between theirs.
+FREQUENCIES: Final = {
+    'sine': ('frequency',), 'triangle': ('frequency',), 'prbs': ('frequency',),
+    'chirp': ('frequency', 'end_frequency'), 'multisine': ('frequency', 'end_frequency')}
+
+
+def check_frequencies(values: Mapping[str, Value], rate_hz: float) -> None:
+    """
+    Raise ParameterError if the signal has frequencies above half of the control rate (Hz).
+
+    Sampled, they are other ones: a sine of 900 Hz at 1 kHz is one of 100 Hz.
+    """
+    shape = str(values['reference.shape'])
+    most, words = (rate_hz, 'the rate') if shape == 'prbs' else (0.5 * rate_hz, 'half of the rate')
+    for name in FREQUENCIES.get(shape, ()):
+        if float(values[f'reference.{name}']) > most:
+            raise ParameterError(
+                f'reference.{name} = {values[f"reference.{name}"]!r} is not allowed for a {shape} '
+                f'at a control rate of {rate_hz:g} Hz: it takes at most {words}')
 
 
 @jit

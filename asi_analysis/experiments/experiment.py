@@ -74,11 +74,13 @@ def checked(experiment: Experiment) -> Experiment:
     """Return the experiment with every parameter; raises InputError if one is not allowed."""
     try:
         from asi_controller.compensator import design, discretise
+        from asi_controller.reference import check_frequencies
         completed(experiment.node_parameters, ACTUATOR_NODE_PARAMETERS)
         controller = completed(experiment.controller, CONTROLLER_PARAMETERS)
         rate_hz = experiment.control_rate_hz
         discretise(design({p.name: controller[p.name] for p in COMPENSATOR_PARAMETERS}, rate_hz),
                    rate_hz)
+        check_frequencies(controller, rate_hz)
         complete = replace(experiment, controller=controller, actuator=completed(
             experiment.actuator, PHYSICS[experiment.plant]))
         if experiment.plant == 'joint':

@@ -7,10 +7,13 @@ import numpy.typing as npt
 import pytest
 from scipy import signal
 
-from asi_common.parameter import Value
+from asi_analysis.errors import InputError
+from asi_analysis.experiments.experiment import planned
+from asi_common.parameter import ParameterError, Value, defaults
 from asi_common.record import record_of
-from asi_controller.parameters import REFERENCE_PARAMETERS, SHAPES
-from asi_controller.reference import reference_force
+from asi_controller.controller import Controller
+from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS, SHAPES
+from asi_controller.reference import FREQUENCIES, reference_force
 
 RATE = 5000.0
 
@@ -32,6 +35,25 @@ def test_rests_at_the_offset_then_stays_within_the_amplitude(shape: str) -> None
     assert np.ptp(out[500:]) > 0.0 or shape == 'step'
     assert out[501] != 30.0
     assert np.abs(out - 30.0).max() <= 20.0
+
+
+@pytest.mark.parametrize(('shape', 'most'), [
+    ('sine', 500.0), ('triangle', 500.0), ('chirp', 500.0), ('multisine', 500.0),
+    ('prbs', 1000.0), ('ramp', 9e3)])
+def test_frequencies_that_the_control_rate_cannot_show_are_refused(shape: str, most: float
+                                                                   ) -> None:
+    values = defaults(COMPENSATOR_PARAMETERS + REFERENCE_PARAMETERS) | {'reference.shape': shape}
+    names = ['reference.frequency', 'reference.end_frequency']
+    Controller.check(values | dict.fromkeys(names, most), 1000.0)
+    for name in names:
+        wrong = values | {name: most + 1.0}
+        if name.removeprefix('reference.') not in FREQUENCIES.get(shape, ()):
+            continue
+        with pytest.raises(ParameterError, match=f'{name} = {most + 1.0} is not allowed for a '
+                                                 f'{shape} at a control rate of 1000 Hz'):
+            Controller.check(wrong, 1000.0)
+        with pytest.raises(InputError, match=name):
+            planned({}, {'reference.shape': shape, name: most + 1.0}, 1.0, 'lockstep', 1000.0)
 
 
 def test_step_begins_at_exactly_its_start() -> None:
