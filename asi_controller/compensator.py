@@ -73,7 +73,6 @@ COMPENSATOR_DTYPE = np.dtype([
     ('observed', np.float64, (2,)),                  # N, of the disturbance observer
 ])
 
-
 def design(values: Mapping[str, Value], rate_hz: float | None = None) -> Design:
     """
     Return the compensator of the parameters, in continuous time.
@@ -200,13 +199,24 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
             c[name] = running[name]
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
-                and np.array_equal(running['lag'], c['lag'])):
+                and np.array_equal(running['lag'], c['lag']) and not _error_steps(running, c)):
             c['fresh'], c['memory'] = running['fresh'], running['memory']
             # The slow part of the command is independent of the gain.
             c['lag_memory'] = running['lag_memory'] * running['gain'] / c['gain']
         else:
             c['fresh'] = TAKE_OVER
     return c
+
+
+def _error_steps(running: np.void, c: np.void) -> bool:
+    """
+    Return whether a change of the additions is a step of the error.
+
+    A lead with the memory of the error before would differentiate it.
+    """
+    had, has = (each['reference_model_bandwidth'] > 0.0 for each in (running, c))
+    return bool((had and not has) or any(
+        running[name] != c[name] for name in ('gain_schedule_velocity', 'gain_schedule_least')))
 
 
 @jit

@@ -226,6 +226,26 @@ def test_change_while_saturated_leaves_the_command_there(saturation: float) -> N
     assert before == [1500.0] * 3 and after == [saturation] * 3
 
 
+@pytest.mark.parametrize('addition', [
+    {'reference_model.bandwidth': 100.0},
+    {'gain_schedule.velocity': 0.05, 'gain_schedule.least': 0.3}], ids=str)
+def test_addition_that_changes_the_error_is_no_kick_of_the_lead(addition: dict[str, Value]
+                                                                ) -> None:
+    """In motion: without it the command jumped by 450 to 1400 N, one tick after the change."""
+    p, lead2 = as_record({'load.type': 'spring', 'load.mass': 1.0, 'load.stiffness': 5e4,
+                          'load.damping': 100.0}), {'compensator': 'lead2'}
+    for before, after in ((lead2 | addition, lead2), (lead2, lead2 | addition)):
+        state, c, found = rest(), compensator(before, RATE), []
+        for k in range(2900):
+            if k == 2600:
+                c = compensator(after, RATE, c)
+            force, _, _, velocity = measure(state, p)
+            reference = 200.0 * math.sin(8.0 * math.pi * k / RATE)
+            found.append(compensate(c, reference, force, velocity))
+            step(state, found[-1], p, 1.0 / RATE)
+        assert np.abs(np.diff(found[2590:])).max() < 25.0
+
+
 def test_change_between_compensators_with_a_lag_leaves_the_force() -> None:
     # Without feed-forward it is the lag that holds the force: each at its own static gain.
     bare: dict[str, Value] = {'feedforward': 0.0}
