@@ -16,9 +16,10 @@ from asi_common.record import record_dtype, record_of
 
 TYPES: Final = ('revolute', 'prismatic')
 # Units of a joint that slides and, in the same place, of one that turns.
-UNITS: Final = {unit: f'{unit} or {turning}' for unit, turning in (
-    ('N', 'Nm'), ('m', 'rad'), ('kg', 'kg m2'), ('m/s', 'rad/s'), ('m/s2', 'rad/s2'),
-    ('N/m', 'Nm/rad'), ('N s/m', 'Nm s/rad'), ('N/s', 'Nm/s'), ('N/s2', 'Nm/s2'))}
+TURNING: Final = {
+    'N': 'Nm', 'm': 'rad', 'kg': 'kg m2', 'm/s': 'rad/s', 'm/s2': 'rad/s2', 'N/m': 'Nm/rad',
+    'N s/m': 'Nm s/rad', 'N/s': 'Nm/s', 'N/s2': 'Nm/s2'}
+UNITS: Final = {unit: f'{unit} or {turning}' for unit, turning in TURNING.items()}
 LARGE: Final = 1e9
 _ACTUATOR: Final = {parameter.name: parameter for parameter in ACTUATOR_PARAMETERS}
 

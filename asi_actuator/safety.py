@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Final
 
 from asi_actuator.driver import Health
+from asi_actuator.joint_parameters import TURNING
 from asi_actuator.model.actuator import Measurement
 from asi_common.parameter import Value
 
@@ -67,6 +68,7 @@ class Safety:
         self._state_age_s = number('limit.state_age')
         self._lost_states = number('limit.lost_states')
         self._bad_frames = number('limit.bad_frames')
+        self._turns = values.get('joint.type') == 'revolute'
         # A joint has no valve, whose position could disagree.
         self._full_opening_m, self._valve_gain = math.inf, 0.0
         if 'valve_characteristic.gain' in values:
@@ -168,7 +170,7 @@ class Safety:
                 ('valve_position less that of the command', disagreement, 'm',
                  'limit.valve_disagreement', self._disagreement_m)):
             if not abs(value) <= limit:
-                self._exceeded(signal, value, unit, name, limit)
+                self._exceeded(signal, value, TURNING[unit] if self._turns else unit, name, limit)
 
     def _mean_disagreement(self, valve_m: float) -> float:
         """

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from asi_actuator.driver import Health
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_actuator.node_parameters import ACTUATOR_NODE_PARAMETERS
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_actuator.safety import Safety, State
@@ -71,6 +72,16 @@ FAULTS: list[tuple[dict[str, Any], str, str]] = [
     ({'command_n': math.nan}, 'valve_command = nan N', ''),
     ({'command_n': -math.inf}, 'valve_command = -inf N', ''),
 ]
+
+
+@pytest.mark.parametrize(('kind', 'reason'), [
+    ('revolute', 'velocity = 21 rad/s exceeds limit.velocity = 20 rad/s'),
+    ('prismatic', 'velocity = 21 m/s exceeds limit.velocity = 20 m/s')])
+def test_a_fault_of_a_joint_has_its_units(kind: str, reason: str) -> None:
+    values = completed({'joint.type': kind}, ACTUATOR_NODE_PARAMETERS + JOINT_PARAMETERS)
+    safety = Safety(values, PERIOD_S, State.ENABLED, lambda: None)
+    safety.watch_state(STILL._replace(velocity_m_s=21.0), 1)
+    assert safety.reason == reason
 
 
 @pytest.mark.parametrize(('wrong', 'begin', 'end'), FAULTS, ids=[begin for _, begin, _ in FAULTS])
