@@ -61,9 +61,10 @@ def topics_table() -> str:
 
 def effects_table() -> str:
     """Return the effects that a diagnosis may name as a Markdown table."""
-    from asi_analysis.gap.model.forms import EFFECTS
+    from asi_actuator.model.effects import EFFECTS
+    from asi_analysis.gap.model.forms import FORMS
     rows = [f'| `{effect.name}` | {effect.block.replace("_", " ")} | {effect.description} |'
-            for effect in EFFECTS]
+            for effect in EFFECTS if effect.name in FORMS]
     return '\n'.join(['| effect | block | in the real machine |', '|---|---|---|', *rows])
 
 

@@ -330,8 +330,8 @@ def _constants(fitted: Fitted, group: Group) -> list[tuple[float, float]]:
 def _is_healthy(name: str, candidate: Candidate, group: Group, healthy: Healthy) -> bool:
     """Return whether an effect is as large in a healthy recording, within its uncertainty."""
     fitted = candidate.fitted
-    field = next(variant.free[0].field for effect in group.effects if effect.name == name
-                 for variant in effect.variants if variant in candidate.variants)
+    field = next(form.free[0].field for form in group.effects[name]
+                 if form in candidate.variants)
     usual = float(group.nominal[field])
     size = float(fitted.record[field]) - usual
     ends = interval(fitted, likelihood(fitted), field)

@@ -46,7 +46,7 @@ from asi_analysis.gap.inference.probability import (
 from asi_analysis.gap.inference.simulated.own_laws import OwnLaws, by_own_laws
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.simulated.uneven_delay import how_uneven
-from asi_analysis.gap.model.effects import NO_GAP, PARAMETER, UNKNOWN, block_of
+from asi_analysis.gap.model.effects import DOTTED, NO_GAP, PARAMETER, UNKNOWN, block_of
 from asi_analysis.gap.model.group import (
     SIMULATOR_ERROR,
     TOLERANCE,
@@ -64,7 +64,7 @@ from asi_analysis.gap.model.simulator import (
 from asi_analysis.gap.model.static import static_group
 from asi_analysis.gap.prepare import shared_band
 from asi_analysis.gap.sizes import limits_of, sizes_of
-from asi_analysis.gap.words import DOTTED, signal_of, unit_of
+from asi_analysis.gap.words import signal_of, unit_of
 from asi_analysis.terminal import Progress, silent
 from asi_common.parameter import Value
 from asi_common.record import field_name

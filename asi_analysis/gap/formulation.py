@@ -11,15 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.model.effects import DOTTED, Free
 from asi_analysis.gap.model.group import NOISIER, Group, Values, least_error
-from asi_common.record import field_name
 
 TOLERANCE_FACTOR = 1.5    # of nominal parameters, with laws formulated in another way
-BLOCKS = {field_name(parameter.name): parameter.name.partition('.')[0]
-          for parameter in ACTUATOR_PARAMETERS}
 MODEL_SAMPLES = 25.0      # effective sample size of the model error of a channel
 
 
@@ -78,8 +74,11 @@ def with_tolerance_of_formulation(frees: Sequence[Free], before: Group, after: G
 
 def is_of_law(free: Free, group: Group) -> bool:
     """Return whether a nominal parameter is of a law that books formulate in several ways."""
-    laws = {BLOCKS[shape.field] for shape in group.shapes}
-    return free.scale == 'nominal' and BLOCKS.get(free.field) in laws
+    def block(field: str) -> str:
+        return DOTTED.get(field, '').partition('.')[0]
+
+    return free.scale == 'nominal' and block(free.field) in {
+        block(shape.field) for shape in group.shapes}
 
 
 def model_error(group: Group) -> Array:

@@ -11,9 +11,9 @@ from asi_analysis.gap.inference.uncertainty import (
     interval,
     likelihood,
 )
-from asi_analysis.gap.model.effects import Free
+from asi_analysis.gap.model.effects import DOTTED, Free, fields_of
 from asi_analysis.gap.model.static import zero_of
-from asi_analysis.gap.words import DOTTED, UNITS, unit_of, unit_of_free
+from asi_analysis.gap.words import UNITS, unit_of, unit_of_free
 
 if TYPE_CHECKING:
     from asi_analysis.gap.diagnose import Diagnosis
@@ -29,9 +29,8 @@ def _holding(diagnosis: 'Diagnosis', name: str) -> tuple[Fitted, tuple[Free, ...
             own = diagnosis.best(weighed)
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
-            effect = next(e for e in weighed.group.effects if e.name == name)
-            return chosen.fitted, tuple(free for variant in effect.variants
-                                        if variant in chosen.variants for free in variant.free)
+            return chosen.fitted, tuple(free for form in weighed.group.effects[name]
+                                        if form in chosen.variants for free in form.free)
     return None
 
 
@@ -78,4 +77,4 @@ def limits_of(diagnosis: 'Diagnosis') -> list[dict[str, Any]]:
              'limit': limit}
             for weighed in diagnosis.groups for best in [diagnosis.best(weighed)]
             for field, limit in at_limit(best.fitted).items()
-            if field not in {free.field for variant in best.variants for free in variant.free}]
+            if field not in fields_of(best.variants)]

@@ -6,7 +6,15 @@ from typing import Any, Final
 
 from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.model.effects import MOTIONS, NO_GAP, PARAMETER, UNKNOWN, Free, block_of
+from asi_analysis.gap.model.effects import (
+    DOTTED,
+    MOTIONS,
+    NO_GAP,
+    PARAMETER,
+    UNKNOWN,
+    Free,
+    block_of,
+)
 from asi_analysis.gap.model.static import static_signals
 from asi_common.record import field_name
 
@@ -58,7 +66,6 @@ SIZES: Final = {
     'curve_square': 'of second order', 'curve_cube': 'of third order', 'gain': 'gain',
     'offset': 'shifted by'}
 UNIT_OF_SCALE: Final = {'command': 'N', 'force': 'N', 'drift': 'N/s'}
-DOTTED: Final = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 UNITS: Final = {field_name(parameter.name): parameter.unit for parameter in ACTUATOR_PARAMETERS}
 LEAST_SHARE: Final = 0.05   # share of the gap from which a block is named
 LISTED: Final = 6   # the most unchanged parameters that are named

@@ -7,7 +7,8 @@ from asi_analysis.gap.diagnose import Diagnosis, hypothesis_name
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import ambiguity_set
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
-from asi_analysis.gap.words import DOTTED, SIZES, signal_of, unit_of_free
+from asi_analysis.gap.model.effects import DOTTED
+from asi_analysis.gap.words import SIZES, signal_of, unit_of_free
 
 NONE, CHANGED, UNDECIDED = 'none', 'changed', 'cannot_tell'
 
@@ -48,8 +49,8 @@ def _rows(diagnosis: Diagnosis, weighed: Weighed) -> list[dict[str, Any]]:
         before = spread.get(name, Spread(*3 * (float(group.nominal[free.field]),)))
         rows.append({
             'parameter': DOTTED.get(name, name), 'effect': None if name in DOTTED else next(
-                (effect.name for effect in group.effects if effect.name in named
-                 and any(name == each.field.partition('@')[0] for variant in effect.variants
+                (effect for effect, forms in group.effects.items() if effect in named
+                 and any(name == each.field.partition('@')[0] for variant in forms
                          for each in variant.free)), None),
             'recording': free.field.partition('@')[2] or None,
             'unit': unit_of_free(freed.get(free.field, free), group.channels[0],

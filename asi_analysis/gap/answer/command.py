@@ -23,6 +23,7 @@ from asi_analysis.gap.answer.characteristic import characteristic, line_of
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
+from asi_analysis.gap.model.effects import DOTTED
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE
 from asi_analysis.gap.model.model_file import DIRECT, LAGS
@@ -35,7 +36,7 @@ from asi_analysis.gap.recordings import (
     unwrapped,
     without_repeats,
 )
-from asi_analysis.gap.words import DOTTED, UNITS, digits, percent, signal_of, unit_of
+from asi_analysis.gap.words import UNITS, digits, percent, signal_of, unit_of
 from asi_analysis.measures.quality import doubts, quality_of
 from asi_analysis.terminal import Progress, silent
 from asi_common import parameter_file

@@ -281,8 +281,8 @@ def _held(diagnosis: Diagnosis, weighed: Weighed) -> Candidate:
 
 def _effects(best: Candidate, weighed: Weighed) -> dict[Variant, str]:
     """Return the effect that each variant of a hypothesis is of."""
-    return {variant: effect.name for effect in weighed.group.effects if effect.name in best.names
-            for variant in effect.variants if variant in best.variants}
+    return {form: name for name, forms in weighed.group.effects.items() if name in best.names
+            for form in forms if form in best.variants}
 
 
 def _unsaid_variants(best: Candidate, weighed: Weighed) -> list[Variant]:

@@ -28,10 +28,7 @@ from asi_analysis.gap.inference.hypotheses import evidence_of
 from asi_analysis.gap.inference.probability import as_plain
 from asi_analysis.gap.model.effects import (
     BLOCK_OF,
-    EFFECTS,
     NO_GAP,
-    OF_JOINT,
-    OF_STATIC,
     PARAMETER,
     UNKNOWN,
     block_of,
@@ -214,7 +211,7 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
                                    if a['excitation'] == kind])
                      for kind in sorted({a['excitation'] for _, a in single})}
     by_effect = {name: _share([first(r) == name for r, a in single if a['effects'] == [name]])
-                 for name in (*BLOCK_OF, *OF_JOINT, *OF_STATIC)}
+                 for name in BLOCK_OF}
     return {
         'cases': len(rows),
         'block_accuracy': _share([bool(r['where']) and r['where'][0]['block'] == a['blocks'][0]
@@ -321,8 +318,7 @@ def check(folder: Path, progress: Progress) -> GapCheck:
 def draw(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]], result: Mapping[str, Any],
          out: Path) -> None:
     """Write confusion.png and reliability.png."""
-    names = [*(effect.name for effect in EFFECTS), *OF_JOINT, *OF_STATIC, 'parameter', NO_GAP,
-             UNKNOWN]
+    names = [*BLOCK_OF, 'parameter', NO_GAP, UNKNOWN]
 
     def short(name: str) -> str:
         return 'parameter' if name.startswith(PARAMETER) else name

@@ -16,9 +16,8 @@ from asi_analysis.gap.inference.fit import LinearScreen, at_start, fit_null, fit
 from asi_analysis.gap.inference.probability import Evidence, Names, probabilities
 from asi_analysis.gap.model.effects import (
     GRAVITY,
-    MECHANICS,
     PARAMETER,
-    Effect,
+    Effects,
     Free,
     Variant,
     parameter_error,
@@ -34,9 +33,8 @@ MOVED: Final = ('coulomb_friction', 'stiction', 'friction_asymmetry', 'viscous_f
 FOLLOWS: Final = ('transport_delay', 'valve_lag', 'backlash')
 SIZES: Final = 2     # so many sizes of a suspect: the smallest initial guesses of its fit
 FITTED: Final = 3    # so many alternatives are fitted, not only screened: those that fit best
-SPRING: Final = Effect(f'{PARAMETER}load.stiffness', MECHANICS, 'the joint is held by a spring', (
-    Variant((Free('load_stiffness', 0.0, 2.0, (0.05, 0.3), 'stiffness', 'N/m'),), ('load',)),),
-    exact=True)
+SPRING: Final[Effects] = {f'{PARAMETER}load.stiffness': (
+    Variant((Free('load_stiffness', 0.0, 2.0, (0.05, 0.3), 'stiffness', 'N/m'),), ('load',)),)}
 
 
 class Suspect(NamedTuple):
@@ -72,19 +70,18 @@ def with_suspects(groups: Sequence[Group], given: Mapping[str, object], toleranc
     """Return the groups of a joint with gravity, a spring and a wrong mass as effects."""
     found = []
     for group in groups:
-        effects = [effect for effect in group.effects
-                   if not any(free.scale.startswith('residual_') for variant in effect.variants
-                              for free in variant.free)]
+        effects = {name: forms for name, forms in group.effects.items()
+                   if not any(free.scale.startswith('residual_') for form in forms
+                              for free in form.free)}
         if group.channels == ('load',):
             scale = group.scale
             group = replace(group, scale=scale | {
                 'stiffness': scale['force'] / scale['position']})
-            effects += [GRAVITY] * turns
-            if 'load.stiffness' not in given:
-                effects.append(SPRING)
-            effects.append(parameter_error('load.mass', 'load_mass', 'high', (
-                1.0 - tolerance, 1.0 + tolerance), ('load',)))
-        found.append(replace(group, effects=tuple(effects)))
+            effects |= GRAVITY if turns else {}
+            effects |= SPRING if 'load.stiffness' not in given else {}
+            effects |= parameter_error('load_mass', 'high', (
+                1.0 - tolerance, 1.0 + tolerance), ('load',))
+        found.append(replace(group, effects=effects))
     return found
 
 
@@ -92,11 +89,10 @@ def suspects_of(groups: Sequence[Group]) -> list[Suspect]:
     """Return the suspects of groups in each of their sizes, each in the first group it acts on."""
     found: dict[str, Suspect] = {}
     for number, group in enumerate(groups):
-        for effect in group.effects:
-            usual = MOVED if group.channels == ('load',) or len(groups) > 1 else FOLLOWS
-            variants = _variants(effect, group)
-            if effect.name in usual and variants:
-                found.setdefault(effect.name, Suspect(effect.name, number, variants[0]))
+        usual = MOVED if group.channels == ('load',) or len(groups) > 1 else FOLLOWS
+        for name, variants in _applicable(group).items():
+            if name in usual:
+                found.setdefault(name, Suspect(name, number, variants[0]))
     return [found[name]._replace(size=size) for name in dict.fromkeys((*MOVED, *FOLLOWS))
             if name in found for size in _sizes(found[name].variant)]
 
@@ -108,14 +104,15 @@ def _sizes(variant: Variant) -> list[int]:
     return [first[size] for size in sorted(first)[:SIZES]]
 
 
-def _variants(effect: Effect, group: Group) -> list[Variant]:
-    """Return the forms of an effect that apply to a group, alone and without a guess."""
-    return [variant for variant in effect.variants
-            if not variant.joined and set(variant.channels) & set(group.channels)
-            and variant.applies(group.nominal)
-            and all(free.scale in group.scale or free.scale in ('nominal', '')
-                    or free.scale in (group.nominal.dtype.names or ())
-                    for free in variant.free)]
+def _applicable(group: Group) -> dict[str, list[Variant]]:
+    """Return the forms of each effect that apply to a group, alone and without a guess."""
+    known = {*group.scale, 'nominal', '', *(group.nominal.dtype.names or ())}
+    found = {name: [form for form in forms
+                    if not form.joined and set(form.channels) & set(group.channels)
+                    and form.applies(group.nominal)
+                    and {free.scale for free in form.free} <= known]
+             for name, forms in group.effects.items()}
+    return {name: forms for name, forms in found.items() if forms}
 
 
 def size_of(suspect: Suspect, groups: Sequence[Group]) -> np.void:
@@ -140,14 +137,13 @@ def _beside_position(group: Group, suspect: Suspect) -> Group:
     A diagnosis identifies them first: a motion in which they resemble another effect identifies
     neither.
     """
-    by_position = [effect for effect in group.effects
-                   if effect.name in (GRAVITY.name, SPRING.name)]
-    if suspect.name in [effect.name for effect in by_position]:
+    by_position = [name for name in group.effects if name in GRAVITY | SPRING]
+    if suspect.name in by_position:
         return group
-    free = tuple(each._replace(low=-2.0, high=2.0, starts=(0.0,)) for effect in by_position
-                 for each in effect.variants[0].free)
-    return replace(group, nuisance=(*group.nuisance, *free), effects=tuple(
-        effect for effect in group.effects if effect not in by_position))
+    free = tuple(each._replace(low=-2.0, high=2.0, starts=(0.0,)) for name in by_position
+                 for each in group.effects[name][0].free)
+    return replace(group, nuisance=(*group.nuisance, *free), effects={
+        name: forms for name, forms in group.effects.items() if name not in by_position})
 
 
 def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
@@ -161,8 +157,7 @@ def told(suspect: Suspect, group: Group, p: np.void, fitted: int = 0) -> Told:
     null = fit_null(group)
     screen, count = LinearScreen(null), sum(int(r.fit.sum()) for r in group.recordings)
     forms: dict[Names, list[Variant]] = {
-        (effect.name,): variants for effect in group.effects
-        if (variants := _variants(effect, group))}
+        (name,): variants for name, variants in _applicable(group).items()}
     left: dict[Names, float] = {(): 2.0 * null.cost / count}
     left |= {
         names: max(2.0 * min(screen.cost(group, (each,)) for each in variants) / count, 0.0)

@@ -134,11 +134,10 @@ def _nulled(weighed: Weighed, names: Names, absent: Collection[str]) -> np.void:
     """Return the record of a hypothesis with some of its effects set to null."""
     group, whole = weighed.group, weighed.candidates[names]
     kept, reset = set[str](), set[str]()
-    for effect in group.effects:
-        for variant in effect.variants:
-            if effect.name in names and variant in whole.variants:
-                fields = variant.fields | dict(variant.fixed).keys()
-                (reset if effect.name in absent else kept).update(fields)
+    for name in names:
+        for form in group.effects[name]:
+            if form in whole.variants:
+                (reset if name in absent else kept).update(form.fields | dict(form.fixed).keys())
     p = whole.fitted.record.copy()
     for field in reset - kept:
         p[field] = group.nominal[field]

@@ -13,7 +13,7 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, fitted, most_probable
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.uncertainty import Likelihood, interval, likelihood
-from asi_analysis.gap.model.effects import UNKNOWN, Effect, Variant, without_prior
+from asi_analysis.gap.model.effects import UNKNOWN, Variant, fields_of, without_prior
 from asi_analysis.gap.model.group import Group
 
 MOST_PARAMETERS = 2   # beyond their tolerance, to be named as the cause; more: `unknown`
@@ -96,7 +96,7 @@ def _beyond(weighed: Weighed, names: Names) -> dict[str, _Beyond]:
     """Return the nominal parameters beyond their tolerance, by the effect that holds them."""
     group, candidate = weighed.group, weighed.candidates[names]
     fit, found = candidate.fitted, dict[str, _Beyond]()
-    own = {free.field for variant in candidate.variants for free in variant.free}
+    own = fields_of(candidate.variants)
     # Of laws formulated in another way, a parameter means something slightly different.
     others = group.other_formulation and group.may_differ
     suspects = [free for free in fit.free if free.field in fit.at_limit.keys() - own
@@ -107,8 +107,8 @@ def _beyond(weighed: Weighed, names: Names) -> dict[str, _Beyond]:
     for free in suspects:
         if _is_beyond(fit, known, free.field, free.prior):
             effect, variant = form_of(group, free.field)
-            if effect.name not in names:
-                found[effect.name] = _Beyond(free.field, free.prior, variant)
+            if effect not in names:
+                found[effect] = _Beyond(free.field, free.prior, variant)
     return found
 
 
@@ -126,12 +126,12 @@ def _is_beyond(fit: Fitted, known: Likelihood, field: str, prior: float) -> bool
     return low > 1.0 + 2.0 * prior or high < 1.0 - 2.0 * prior
 
 
-def form_of(group: Group, field: str) -> tuple[Effect, Variant]:
+def form_of(group: Group, field: str) -> tuple[str, Variant]:
     """
     Return the effect, and its form, in which a parameter is free with the fewest others.
 
     As a multiple of its nominal value: a damper of the load that is off is no viscous friction.
     """
-    return min(((effect, variant) for effect in group.effects for variant in effect.variants
+    return min(((name, variant) for name, forms in group.effects.items() for variant in forms
                 if field in {free.field for free in variant.free if free.scale == 'nominal'}),
                key=lambda found: len(found[1].free))

@@ -20,7 +20,7 @@ from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.arrays import Array
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
-from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant
+from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant, fields_of
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
 from asi_analysis.gap.prepare import Recording
@@ -389,7 +389,7 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     problem, starts = _extended_problem(group, screen.base, variants)
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
     # The parameters of the variants may have other bounds, so their columns differ.
-    own = {free.field for variant in variants for free in variant.free}
+    own = fields_of(variants)
     known = {name: column for name, column in screen.derivatives.items() if name not in own}
     rounds = ROUNDS
     if places:   # distant initial guesses: the best start at each of them is fitted

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.gap.course import in_step
 from asi_analysis.gap.inference.coloured_noise import (
     with_coloured_noise,
@@ -50,8 +49,8 @@ from asi_analysis.gap.inference.simpler import as_simple_friction
 from asi_analysis.gap.model.effects import (
     PARAMETER,
     UNKNOWN,
-    Effect,
     Variant,
+    fields_of,
     of_recording,
     parameter_error,
 )
@@ -67,7 +66,6 @@ from asi_analysis.gap.model.predict import propagated_noise
 from asi_analysis.gap.model.rattling import is_closed
 from asi_analysis.gap.model.static import as_limit, at_the_end
 from asi_analysis.parallel import in_threads
-from asi_common.record import field_name
 
 NOISE_UNCERTAINTY = 0.2   # of the mean square propagated noise, relative
 # After the linear screen so many single effects are fitted; so many of these get a second effect;
@@ -112,9 +110,8 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
     found: dict[Names, Candidate] = {(): Candidate((), (), null)}
     group.scale.update(initial_guesses(null))
     choices: dict[Names, list[tuple[Variant, ...]]] = {
-        (effect.name,): [(variant,) for variant in effect.variants
-                         if channels_of(variant, group) and not variant.joined]
-        for effect in group.effects}
+        (name,): [(form,) for form in forms if channels_of(form, group) and not form.joined]
+        for name, forms in group.effects.items()}
     found |= _fit_best_screened(group, null, choices, SINGLES, tick)
     found |= refitted_from_related(group, found)
     singles = sorted((c for c in found.values() if len(c.names) == 1),
@@ -165,9 +162,9 @@ def _pruned(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidat
     """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
     better: dict[Names, Candidate] = {}
-    for effect in (effect for effect in group.effects if effect.name in best.names):
-        names = tuple(name for name in best.names if name != effect.name)
-        variants = tuple(each for each in best.variants if each not in effect.variants)
+    for effect in (name for name in group.effects if name in best.names):
+        names = tuple(name for name in best.names if name != effect)
+        variants = tuple(each for each in best.variants if each not in group.effects[effect])
         if names and len(variants) == len(names) and not any(each.joined for each in variants):
             fitted = fit_subset(group, found[()].fitted, variants, best.fitted)
             if names not in found or fitted.cost < found[names].fitted.cost:
@@ -183,8 +180,8 @@ def _extended(first: Candidate, found: dict[Names, Candidate], tick: Callable[[]
     group = replace(group, scale=group.scale | {
         name: value for name, value in initial_guesses(first.fitted).items()
         if name not in {free.scale for free in first.fitted.free}})
-    more = {tuple(sorted({*first.names, effect.name})): list(_second_effects(group, first, effect))
-            for effect in group.effects if effect.name not in first.names}
+    more = {tuple(sorted({*first.names, name})): list(_second_effects(group, first, name))
+            for name in group.effects if name not in first.names}
     return _fit_best_screened(group, first.fitted, {
         names: variants for names, variants in more.items() if variants}, SECONDS, tick, 1, {
             names: candidate.fitted.cost for names, candidate in found.items()})
@@ -241,17 +238,16 @@ def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:
                for channel in channels_of(variant, group))
 
 
-def _second_effects(group: Group, first: Candidate, effect: Effect
-                    ) -> Iterable[tuple[Variant, ...]]:
+def _second_effects(group: Group, first: Candidate, name: str) -> Iterable[tuple[Variant, ...]]:
     """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
     friction = any('friction_level' in variant.fields for variant in first.variants)
-    for variant in effect.variants:
-        clash = any(fixed.get(name, value) != value for name, value in variant.fixed)
+    for variant in group.effects[name]:
+        clash = any(fixed.get(field, value) != value for field, value in variant.fixed)
         adds_friction = 'friction_level' in variant.fields
         # Two kinds of friction are combined in one friction model.
         if _acts_above_floor(variant, group, first.fitted) and not clash and variant.joined == (
-                friction and adds_friction and effect.name == 'friction_asymmetry'):
+                friction and adds_friction and name == 'friction_asymmetry'):
             yield (*first.variants, variant)
 
 
@@ -297,8 +293,7 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     return Evidence(
         noise, floor, formulation,
         independent_samples(group, best.fitted.record), group.held_out_s, residual,
-        {names: len({free.field.partition('@')[0] for variant in candidate.variants
-                     for free in variant.free})
+        {names: len({field.partition('@')[0] for field in fields_of(candidate.variants)})
          for names, candidate in found.items()},
         {names: _log_odds_against_values(candidate, group) for names, candidate in found.items()},
         group.floor_measured)
@@ -308,9 +303,10 @@ def _log_odds_against_values(candidate: Candidate, group: Group) -> float:
     """Return the log prior odds against the values of parameters beyond their tolerance."""
     return sum(log_odds_against(candidate.fitted.values[free.field]
                                 / float(group.nominal[free.field]))
-               for effect in group.effects if effect.name in candidate.names
-               and effect.name.startswith(PARAMETER) for variant in effect.variants
-               if variant in candidate.variants for free in variant.free)
+               for name in group.effects
+               if name in candidate.names and name.startswith(PARAMETER)
+               for form in group.effects[name] if form in candidate.variants
+               for free in form.free)
 
 
 def _propagated_noise(group: Group, fitted: Fitted) -> Values:
@@ -424,10 +420,10 @@ def _weigh_static(group: Group, null: Fitted, found: dict[Names, Candidate]) -> 
 
 def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
     """Return a hypothesis in those nested forms that fit as well with the fewest parameters."""
-    for effect in (each for each in group.effects if each.name in found.names):
-        own = next(each for each in found.variants if each in effect.variants)
+    for variants in (group.effects[name] for name in group.effects if name in found.names):
+        own = next(each for each in found.variants if each in variants)
         forms = {own: found.fitted}
-        for form in effect.variants:
+        for form in variants:
             if form.fields < own.fields or form.fields > own.fields:
                 forms[form] = fit_subset(group, null, tuple(
                     form if each is own else each for each in found.variants), found.fitted)
@@ -441,11 +437,10 @@ def _simplest(group: Group, null: Fitted, found: Candidate) -> Candidate:
 def _with_limit(group: Group, null: Fitted, found: Candidate) -> Candidate:
     """Return a hypothesis with a saturation in place of a dead band at an end of the range."""
     p, field = as_limit(found.fitted.record)
-    effects = {effect.name: effect for effect in group.effects}
-    band, limit = effects['valve_deadband'], effects['valve_saturation']
-    form = next(each for each in limit.variants if each.fields == {field, 'corner'})
-    variants = tuple(form if each in band.variants else each for each in found.variants)
-    names = tuple(sorted(limit.name if name == band.name else name for name in found.names))
+    band, limit = 'valve_deadband', 'valve_saturation'
+    form = next(each for each in group.effects[limit] if each.fields == {field, 'corner'})
+    variants = tuple(form if each in group.effects[band] else each for each in found.variants)
+    names = tuple(sorted(limit if name == band else name for name in found.names))
     return Candidate(names, variants, fit_subset(group, null, variants,
                                                  found.fitted._replace(record=p)))
 
@@ -464,14 +459,14 @@ def with_parameter_errors(group: Group, null: Fitted) -> Group:
 
     One for each nominal parameter that is at a bound in the null fit and belongs to no effect.
     """
-    dotted = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
-    held = {free.field for effect in group.effects for variant in effect.variants
-            for free in variant.free}
+    held = fields_of(itertools.chain(*group.effects.values()))
     bounds = {free.field: (free.low, free.high) for free in group.nuisance}
-    more = tuple(parameter_error(dotted[field], field, limit, bounds[field], tuple(
-                     channel for channel in group.channels if acts_on(field, channel, group)))
-                 for field, limit in null.at_limit.items() if field not in held)
-    return replace(group, effects=(*group.effects, *more))
+    effects = dict(group.effects)
+    for field, limit in null.at_limit.items():
+        if field not in held:
+            effects |= parameter_error(field, limit, bounds[field], tuple(
+                channel for channel in group.channels if acts_on(field, channel, group)))
+    return replace(group, effects=effects)
 
 
 def join(groups: Sequence[Weighed]) -> dict[Names, float]:

@@ -273,8 +273,8 @@ def _steps(fitted: Fitted, channel: str) -> Values:
 
 def _quantisations(group: Group) -> tuple[Variant, ...]:
     """Return the forms of a quantised command that begin with a guess of the quantum."""
-    return tuple(form for effect in group.effects if effect.name == 'command_quantisation'
-                 for form in effect.variants if form.free[0].scale in QUANTISERS)
+    return tuple(form for form in group.effects.get('command_quantisation', ())
+                 if form.free[0].scale in QUANTISERS)
 
 
 def _left_with(fitted: Fitted, channel: str, recording: Recording, form: Variant, quantum: float

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from asi_analysis.gap.model.effects import BY_NAME, NO_GAP, PARAMETER, UNKNOWN, has_one_law
+from asi_analysis.gap.model.effects import EFFECTS, NO_GAP, PARAMETER, UNKNOWN, has_one_law
 from asi_analysis.gap.model.group import Values
 
 Names = tuple[str, ...]
@@ -307,7 +307,7 @@ def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, floa
 
 def marginals(joined: dict[Names, float]) -> dict[str, float]:
     """Return the probability of each effect, of `no_gap` and of `unknown`."""
-    total: dict[str, float] = dict.fromkeys(BY_NAME, 0.0)
+    total: dict[str, float] = dict.fromkeys(EFFECTS, 0.0)
     total[UNKNOWN] = 0.0
     for names, probability in joined.items():
         for name in names:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from asi_analysis.gap.inference.fit import Fitted, refit
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.group import Group
 from asi_analysis.parallel import in_threads
 
@@ -34,9 +34,9 @@ def refitted_from_related(group: Group, found: dict[Names, Candidate]
     which is the same for each of them.
     """
     def from_related(candidate: Candidate) -> Candidate:
-        fields = {free.field for variant in candidate.variants for free in variant.free}
-        related = min((each for each in found.values() if each.names != candidate.names and fields
-                       & {free.field for variant in each.variants for free in variant.free}),
+        fields = fields_of(candidate.variants)
+        related = min((each for each in found.values() if each.names != candidate.names
+                       and fields & fields_of(each.variants)),
                       key=lambda each: each.fitted.cost, default=candidate)
         return candidate if related.fitted.cost >= candidate.fitted.cost else candidate._replace(
             fitted=refit(group, candidate.fitted, [related.fitted]))

@@ -21,6 +21,8 @@ from asi_actuator.model.effects import (
     SENSOR,
     VALVE,
 )
+from asi_actuator.parameters import ACTUATOR_PARAMETERS
+from asi_common.record import field_name
 
 NO_GAP, UNKNOWN = 'no_gap', 'unknown'
 
@@ -99,32 +101,24 @@ class Variant(NamedTuple):
                 and all(nominal[name] == value for name, value in self.where))
 
 
-class Effect(NamedTuple):
-    """
-    An effect of the vocabulary.
-
-    exact: whether textbooks formulate it in one way only (a gain, a corner, a linear lag), unlike
-    effects with memory, contact, randomness or fluid flow.
-    """
-
-    name: str
-    block: str
-    description: str
-    variants: tuple[Variant, ...]
-    exact: bool = False
+# The forms of each effect, by its name.
+Effects = dict[str, tuple[Variant, ...]]
 
 
-def freed(effects: Iterable[Effect], change: Callable[[tuple[Free, ...]], tuple[Free, ...]]
-              ) -> tuple[Effect, ...]:
+def fields_of(variants: Iterable[Variant]) -> set[str]:
+    """Return the fields that are free in forms of effects."""
+    return {free.field for variant in variants for free in variant.free}
+
+
+def freed(effects: Effects, change: Callable[[tuple[Free, ...]], tuple[Free, ...]]) -> Effects:
     """Return effects whose variants have changed free parameters."""
-    return tuple(effect._replace(variants=tuple(
-        variant._replace(free=change(variant.free)) for variant in effect.variants))
-        for effect in effects)
+    return {name: tuple(each._replace(free=change(each.free)) for each in variants)
+            for name, variants in effects.items()}
 
 
 def without_prior(free: Iterable[Free], variants: Iterable[Variant]) -> tuple[Free, ...]:
     """Return free parameters; those of these forms of effects have no prior any more."""
-    fields = {each.field for variant in variants for each in variant.free}
+    fields = fields_of(variants)
     return tuple(each._replace(prior=math.inf) if each.field in fields else each for each in free)
 
 
@@ -161,58 +155,53 @@ _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
 
 
-def _effect(name: str, variants: tuple[Variant, ...], exact: bool = False) -> Effect:
-    """Return an effect of the vocabulary, whose block is declared with the physics."""
-    return Effect(name, EFFECT[name].block, EFFECT[name].description, variants, exact)
-
-
-EFFECTS: tuple[Effect, ...] = (
-    _effect('transport_delay', (
+EFFECTS: Effects = {
+    'transport_delay': (
         Variant((Free('command_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's'),),
                 VALVE_SIDE),
         Variant((_scaled('valve_flexure_delay', 0.0, 1.0, (0.3,)),), VALVE_SIDE,
                 needs=('valve_flexure_model', 'valve_flexure_delay')),
-    )),
-    _effect('command_quantisation', (
+    ),
+    'command_quantisation': (
         *(Variant((Free('command_quantum', 0.997, 1.003, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
           for guess, fixed in (('residual_step', (('command_phase', 0.0),)),
                               ('residual_step_edge', (('command_phase', 0.5),)),
                               ('residual_step_zero', (('command_truncated', 1.0),)))),
-    )),
-    _effect('valve_hysteresis', (
+    ),
+    'valve_hysteresis': (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),
                  Free('loop_share', 0.0, 2.0, (0.95,)), Free('loop_spread', 0.0, 1.0, (0.3, 0.9))),
                 VALVE_SIDE),
         Variant((_scaled('valve_hysteresis_radius', 0.0, 10.0),
                  _scaled('valve_hysteresis_lag_time')), VALVE_SIDE,
                 needs=('valve_hysteresis_model', 'valve_hysteresis_radius')),
-    )),
-    _effect('valve_deadband', (
+    ),
+    'valve_deadband': (
         Variant((Free('command_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'command',
                       'N'),), VALVE_SIDE),
         Variant((Free('orifice_deadband', 0.0, 0.5, (0.005, 0.02, 0.06, 0.15), 'valve_position',
                       'm'),), FORCE_SIDE),
-    ), exact=True),
-    _effect('valve_saturation', (
+    ),
+    'valve_saturation': (
         Variant((Free('valve_limit', 0.2, 1.3, (0.5, 0.7, 0.85, 0.95), 'valve_position', 'm'),
                  Free('corner', 0.0, 0.25, (0.05,))), VALVE_SIDE),
         Variant((Free('force_limit', 0.2, 3.0, (0.5, 0.7, 0.85, 0.95), 'force', 'N'),
                  Free('corner', 0.0, 0.25, (0.05,))), FORCE_SIDE),
-    ), exact=True),
-    _effect('valve_bias', (
+    ),
+    'valve_bias': (
         Variant((Free('command_bias', -0.7, 0.7, (0.02, -0.02), 'command', 'N'),), VALVE_SIDE),
         Variant((Free('orifice_bias', -0.7, 0.7, (0.02, -0.02), 'valve_position', 'm'),),
                 FORCE_SIDE),
-    ), exact=True),
-    _effect('valve_lag', (
+    ),
+    'valve_lag': (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
         # Without a load (a servo) a second lag is called dead time instead.
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
                  Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE, needs=('load_mass',)),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
-    ), exact=True),
-    _effect('hydraulic_damping', (
+    ),
+    'hydraulic_damping': (
         Variant((Free('damping_viscous', -2.0, 2.0, (0.02, 0.1, 0.5), 'damping', 'N s/m'),
                  Free('damping_quadratic', -2.0, 2.0, (0.02,), 'damping_quadratic', 'N s2/m2'),
                  Free('damping_opening', -2.0, 2.0, (0.02,), 'damping', 'N s/m')), FORCE_SIDE),
@@ -220,42 +209,42 @@ EFFECTS: tuple[Effect, ...] = (
                  _scaled('hydraulic_damping_maximum_force', starts=(0.4, 1.5)),
                  _scaled('hydraulic_damping_saturation_velocity', 0.3, 3.0, (1.0,))),
                 FORCE_SIDE, needs=('hydraulic_damping_model',)),
-    )),
-    _effect('supply_pressure', (
+    ),
+    'supply_pressure': (
         Variant((Free('supply_drop', -0.6, 0.9, (0.1,)),
                  Free('supply_sag', 0.0, 3.0, (0.05, 0.5)),   # at full opening
                  Free('supply_time', 0.02, 1.5, (0.1, 0.5), '', 's')), FORCE_SIDE),
-    )),
-    _effect('internal_leakage', (
+    ),
+    'internal_leakage': (
         Variant((Free('leakage_linear', 0.0, 3.0, (0.1,)),
                  Free('leakage_quadratic', 0.0, 3.0, (0.1,))), FORCE_SIDE),
-    )),
-    _effect('entrained_air', (
+    ),
+    'entrained_air': (
         Variant((Free('air_time', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('air_stiffening', 0.0, 20.0, (1.0,))), FORCE_SIDE),
-    )),
-    _effect('coulomb_friction', (
+    ),
+    'coulomb_friction': (
         *_friction(),
         Variant((_scaled('friction_coulomb', 0.0, 8.0),), FORCE_SIDE, needs=('friction_model',)),
-    )),
-    _effect('stiction', (
+    ),
+    'stiction': (
         *_STICKING,
         Variant((_scaled('friction_stiction_push'), _scaled('friction_stiction_pull')),
                 FORCE_SIDE, needs=('friction_model',)),
-    )),
-    _effect('friction_asymmetry', (
+    ),
+    'friction_asymmetry': (
         *_ASYMMETRIC, *_ASYMMETRIC_TOO,
         Variant((Free('friction_coulomb_asymmetry', -1.0, 1.0, (0.5, -0.5)),), FORCE_SIDE,
                 needs=('friction_model', 'friction_coulomb')),
-    )),
-    _effect('viscous_friction', (
+    ),
+    'viscous_friction': (
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
                  Free('viscous_exponent', 0.8, 1.2, (1.0,))), LOAD_SIDE),
         Variant((Free('viscous', 0.0, 2.0, (0.02, 0.1), 'damping', 'N s/m'),
                  Free('viscous_exponent', 0.8, 1.2, (1.0,))), FORCE_SIDE,
                 (('friction_inside', 1.0),)),
-    )),
-    _effect('backlash', (
+    ),
+    'backlash': (
         *(Variant((Free('backlash', 0.001, 0.7, (0.02, 0.06, 0.15), 'position', 'm'),), LOAD_SIDE,
                   (('backlash_memory', memory), ('piston_share', 1.0))) for memory in (0.0, 1.0)),
         # Within the backlash its mass moves freely; the contact is compliant.
@@ -263,13 +252,14 @@ EFFECTS: tuple[Effect, ...] = (
                  Free('compliance', 1e-4, 0.1, (0.02, 0.002), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.005, (0.0002,), '', 's'),
                  Free('piston_share', 0.01, 0.99, (0.4,))), LOAD_SIDE,
-                (('backlash_floating', 1.0),)))),
-    _effect('load_compliance', (
+                (('backlash_floating', 1.0),)),
+    ),
+    'load_compliance': (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.02, (0.001,), '', 's'),
                  Free('piston_share', 0.0, 0.8, (0.1, 0.5))), LOAD_SIDE),
-    ), exact=True),
-    _effect('disturbance_force', (
+    ),
+    'disturbance_force': (
         Variant((Free('disturbance', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), LOAD_SIDE),
         Variant((Free('disturbance_wave', 0.0, 1.0, (0.1,), 'force', 'N'),
                  Free('disturbance_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
@@ -278,39 +268,46 @@ EFFECTS: tuple[Effect, ...] = (
         Variant((Free('disturbance_pulse', -1.0, 1.0, (0.1, -0.1), 'force', 'N'),
                  Free('disturbance_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
                  Free('disturbance_end', 0.997, 1.003, (1.0,), 'residual_end', 's')), LOAD_SIDE),
-    ), exact=True),
-    _effect('sensor_offset', (
+    ),
+    'sensor_offset': (
         Variant((Free('sensor_offset', -1.0, 1.0, (0.02, -0.02), 'force', 'N'),), BOTH),
-    ), exact=True),
-    _effect('sensor_gain', (
+    ),
+    'sensor_gain': (
         Variant((Free('sensor_gain_error', -0.7, 1.0, (0.05, -0.05)),), BOTH),
-    ), exact=True),
-    _effect('sensor_lag', (
+    ),
+    'sensor_lag': (
         Variant((Free('sensor_lag', 0.0, 0.05, (0.0005, 0.002, 0.008), '', 's'),
                  Free('sensor_lag_split', 0.0, 0.5, (0.1,))), BOTH),
-    ), exact=True),
-    _effect('sensor_drift', (
+    ),
+    'sensor_drift': (
         Variant((Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
                  Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2'),
                  Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'N/s3')), BOTH),
-    )),
-)
+    ),
+}
 # Of a joint that turns, if compared with healthy recordings: else gravity is in its nominal model.
-GRAVITY = Effect('gravity', MECHANICS, 'the joint carries more or less weight', (
+GRAVITY: Effects = {'gravity': (
     Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
-                  for part in ('sine', 'cosine')), LOAD_SIDE),), exact=True)
+                  for part in ('sine', 'cosine')), LOAD_SIDE),)}
 # Of a joint whose force is not measured, if its mass is known: less force for the same command.
-DRIVE_GAIN = Effect('drive_gain', VALVE, 'the drive makes less or more force of its command', (
-    Variant((Free('drive_loss', -2.0, 0.8, (0.1, -0.1)),), LOAD_SIDE),), exact=True)
+DRIVE_GAIN: Effects = {'drive_gain': (
+    Variant((Free('drive_loss', -2.0, 0.8, (0.1, -0.1)),), LOAD_SIDE),)}
 # The same of any joint: its motion is read too large or too small.
-POSITION_GAIN = Effect('position_gain', SENSOR, 'the sensor of the motion reads too much', (
-    Variant((Free('position_gain_error', -0.7, 2.0, (0.1, -0.1)),), LOAD_SIDE),), exact=True)
-OF_JOINT = {effect.name: effect for effect in (GRAVITY, DRIVE_GAIN, POSITION_GAIN)}
-# Effects of a static characteristic only (static.py): the block, and `Effect.exact`.
-OF_STATIC = {'gain_asymmetry': (VALVE, True), 'curvature': (VALVE, False)}
-BY_NAME = {effect.name: effect for effect in EFFECTS}
-BLOCK_OF = {effect.name: effect.block for effect in EFFECTS}
+POSITION_GAIN: Effects = {'position_gain': (
+    Variant((Free('position_gain_error', -0.7, 2.0, (0.1, -0.1)),), LOAD_SIDE),)}
+# The last two are of a static characteristic only (static.py).
+BLOCK_OF = {name: EFFECT[name].block for name in EFFECTS} | {
+    'gravity': MECHANICS, 'drive_gain': VALVE, 'position_gain': SENSOR, 'gain_asymmetry': VALVE,
+    'curvature': VALVE}
+# Effects that textbooks formulate in one way only (a gain, a corner, a linear lag), unlike those
+# with memory, contact, randomness or fluid flow.
+ONE_LAW = frozenset((
+    'valve_deadband', 'valve_saturation', 'valve_bias', 'valve_lag', 'load_compliance',
+    'disturbance_force', 'sensor_offset', 'sensor_gain', 'sensor_lag', 'gravity', 'drive_gain',
+    'position_gain', 'gain_asymmetry'))
 
+# Names of the actuator's parameters by their fields.
+DOTTED = {field_name(parameter.name): parameter.name for parameter in ACTUATOR_PARAMETERS}
 # A nominal parameter beyond its tolerance is a hypothesis too: `parameter:load.mass`.
 PARAMETER = 'parameter:'
 BLOCK_OF_PARAMETER = {
@@ -323,23 +320,19 @@ BEYOND = 5.0   # largest factor, up or down, of a parameter beyond its tolerance
 def block_of(name: str) -> str | None:
     """Return the block of an effect, or of a parameter beyond its tolerance; None: neither."""
     if not name.startswith(PARAMETER):
-        if name in OF_STATIC:
-            return OF_STATIC[name][0]
-        return OF_JOINT[name].block if name in OF_JOINT else BLOCK_OF.get(name)
+        return BLOCK_OF.get(name)
     parameter = name.removeprefix(PARAMETER)
     return next((block for start, block in BLOCK_OF_PARAMETER.items()
                  if parameter.startswith(start)), None)
 
 
 def has_one_law(name: str) -> bool:
-    """Return whether an effect has one law: `exact` of `Effect`."""
-    if name in OF_STATIC:
-        return OF_STATIC[name][1]
-    return name.startswith(PARAMETER) or (OF_JOINT | BY_NAME)[name].exact
+    """Return whether an effect, or a parameter beyond its tolerance, has one law."""
+    return name in ONE_LAW or name.startswith(PARAMETER)
 
 
-def parameter_error(parameter: str, field: str, limit: str, bounds: tuple[float, float],
-                channels: tuple[str, ...]) -> Effect:
+def parameter_error(field: str, limit: str, bounds: tuple[float, float],
+                    channels: tuple[str, ...]) -> Effects:
     """
     Return the hypothesis that a nominal parameter is beyond a limit of its tolerance.
 
@@ -349,8 +342,4 @@ def parameter_error(parameter: str, field: str, limit: str, bounds: tuple[float,
     low, high = bounds
     free = (Free(field, 1.0, BEYOND, (2.0 * high - 1.0, 2.0), 'nominal') if limit == 'high'
             else Free(field, 1.0 / BEYOND, 1.0, (1.5 * low - 0.5, 0.5), 'nominal'))
-    name = PARAMETER + parameter
-    block = block_of(name)
-    assert block is not None
-    return Effect(name, block, f'{parameter} is beyond its tolerance',
-                  (Variant((free,), channels),), exact=True)
+    return {PARAMETER + DOTTED[field]: (Variant((free,), channels),)}

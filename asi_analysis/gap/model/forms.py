@@ -5,13 +5,15 @@ Bounds and starts are in units of the recording; see `Free`. The block and the d
 effect are with the physics, in asi_actuator/model/effects.py.
 """
 
+from itertools import chain
+
 from asi_actuator.model import effects as declared
 from asi_actuator.model.backlash import MASS, SPRING_ALONE, SPRING_AND_DAMPER
 from asi_actuator.model.command_path import EDGE, NEAREST, ZERO
 from asi_actuator.model.friction import BEHIND_SENSOR, CYLINDER
 from asi_actuator.model.load import LOCKED, SPRING
 from asi_actuator.parameters import ACTUATOR_DTYPE
-from asi_analysis.gap.model.effects import MOTIONS, Effect, Free, Variant
+from asi_analysis.gap.model.effects import MOTIONS, Effects, Free, Variant, fields_of
 from asi_common.jit import FULL, LINEAR, OFF
 
 VALVE, MOVED, SENSOR = ('valve',), ('force', *MOTIONS), ('force',)
@@ -214,11 +216,9 @@ FORMS: dict[str, tuple[Variant, ...]] = {
         _form(SENSOR, Free('force_sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'N/s'),
               Free('force_sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'N/s2')),),
 }
-# Effects that textbooks formulate in one way only; see `Effect`.
-EXACT = frozenset(FORMS) - {'valve_hysteresis', 'friction_asymmetry', 'backlash'}
-EFFECTS = tuple(Effect(effect.name, effect.block, effect.description, FORMS[effect.name],
-                       effect.name in EXACT)
-                for effect in declared.EFFECTS if effect.name in FORMS)
+# In the order of the signal path.
+EFFECTS: Effects = {effect.name: FORMS[effect.name] for effect in declared.EFFECTS
+                    if effect.name in FORMS}
 
 # Nominal parameters that are uncertain, by the channel that they act on first.
 UNCERTAIN = {
@@ -256,5 +256,4 @@ OTHER_SHAPES = {
     'force': (Free('friction_element_ratio', 1.0, 6.0, (1.0, 1.6)),
               Free('friction_softening', 0.0, 1.0, (0.0, 1.0))),
 }
-assert {free.field for effect in EFFECTS for variant in effect.variants
-        for free in variant.free} <= set(ACTUATOR_DTYPE.names or ())
+assert fields_of(chain(*EFFECTS.values())) <= set(ACTUATOR_DTYPE.names or ())

@@ -1,5 +1,6 @@
 """Groups of channels that share parameters: uncertain parameters, noise and error floor."""
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from asi_analysis.gap.model import forms, simulator
-from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effect, Free, Variant, freed, in_each
+from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effects, Free, Variant, freed, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
 from asi_analysis.gap.model.start import (
     FLUX,
@@ -92,7 +93,7 @@ class Group:
     noise: Values = field(default_factory=dict)
     error_floor: Values = field(default_factory=dict)
     formulation: Values = field(default_factory=dict)
-    effects: tuple[Effect, ...] = EFFECTS
+    effects: Effects = field(default_factory=lambda: EFFECTS)
     given: np.void | None = None   # the nominal record, if `nominal` was changed by another group
     valve: np.void | None = None   # the fit of the valve, from which the force gets its position
     # Of the simulator, if the valve was fitted before: its position per command, m/N. It ties the
@@ -168,7 +169,7 @@ def has_motion(recording: Recording) -> bool:
 
 def make_group(nominal: np.void, recordings: Sequence[Recording], channels: tuple[str, ...],
                tolerance: float = TOLERANCE, nuisance: tuple[Free, ...] | None = None,
-               effects: tuple[Effect, ...] = EFFECTS,
+               effects: Effects = EFFECTS,
                model_error: float = MODEL_ERROR, floor_by_best: bool = False) -> Group:
     """
     Return a group of channels, ready to be fitted.
@@ -466,10 +467,9 @@ def _channels_by_field() -> dict[str, set[str]]:
             acts_on.setdefault(name, set()).add(channel)
         for free in SHAPES[channel]:
             acts_on.setdefault(free.field, set()).add(channel)
-    for effect in EFFECTS:
-        for variant in effect.variants:
-            for free in variant.free:
-                acts_on.setdefault(free.field, set()).update(variant.channels)
+    for variant in itertools.chain(*EFFECTS.values()):
+        for name in variant.fields:
+            acts_on.setdefault(name, set()).update(variant.channels)
     return acts_on
 
 

@@ -24,7 +24,7 @@ from asi_analysis.gap.model.effects import (
     EFFECTS,
     GRAVITY,
     POSITION_GAIN,
-    Effect,
+    Effects,
     Free,
     Variant,
 )
@@ -225,8 +225,8 @@ def _without_hidden_compliance(group: Group) -> Group:
         moved = np.gradient(motion.velocity[inner_samples(recording)], recording.period_s)
         if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
             return group
-    return replace(group, effects=tuple(effect for effect in group.effects
-                                        if effect.name != 'load_compliance'))
+    return replace(group, effects={name: forms for name, forms in group.effects.items()
+                                   if name != 'load_compliance'})
 
 
 def _identified_servo(recordings: Sequence[Recording], hidden: bool
@@ -287,15 +287,11 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
     own = {'backlash': (LOST_MOTION,)} | ({'command_quantisation': (stepping(steps),)}
                                           if steps else {})
-    effects = tuple(effect._replace(variants=own[effect.name])
-                    if effect.name in own and not proportional else
-                    effect._replace(variants=tuple(
-        variant._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
-                                    for free in variant.free),
-                         needs=() if dynamics else variant.needs)
-        for variant in effect.variants
-        if not any(free.field.startswith('valve_flexure') for free in variant.free)))
-        for effect in EFFECTS)
+    effects = {name: own[name] if name in own and not proportional else tuple(
+        form._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
+                                 for free in form.free), needs=() if dynamics else form.needs)
+        for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
+        for name, forms in EFFECTS.items()}
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
                        effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
                        floor_by_best=not proportional)
@@ -378,15 +374,15 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
                             rattling_in(rattles))
     if weighs and healthy:
-        effects += (GRAVITY,)
+        effects |= GRAVITY
     elif weighs:   # it was identified without the effects
-        nuisance += [free._replace(starts=(0.0,)) for free in GRAVITY.variants[0].free]
+        nuisance += [free._replace(starts=(0.0,)) for free in GRAVITY['gravity'][0].free]
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR, floor_by_best=True)
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Sequence[Variant]) -> tuple[Effect, ...]:
+                  rattling: Sequence[Variant]) -> Effects:
     """
     Return the candidate effects between the force and the motion of a joint.
 
@@ -419,23 +415,22 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         behind = any(each.field == 'compliance' for each in free) and not variant.fixed
         return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *LOAD_SWING * behind))
 
-    effects = [effect._replace(variants=variants) for effect in EFFECTS
-               if (variants := tuple(
-                   form for v in effect.variants if applies(v) for form in (
-                       rattling if ('backlash_floating', 1.0) in v.fixed else (scaled(v),))))]
-    effects += [POSITION_GAIN] * mass_given
+    effects = {name: forms for name, variants in EFFECTS.items()
+               if (forms := tuple(form for each in variants if applies(each) for form in (
+                   rattling if ('backlash_floating', 1.0) in each.fixed else (scaled(each),))))}
+    effects |= POSITION_GAIN if mass_given else {}
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
                 for field in ('drive_delay', 'drive_lag')}
         # Two forms, since each parameter makes a form less probable.
-        forms: dict[str, list[tuple[Free, ...]]] = {
+        late_forms: dict[str, list[tuple[Free, ...]]] = {
             'transport_delay': [(late['drive_delay'],)],
             'valve_lag': [(late['drive_lag'],),
                           (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
-        effects += [DRIVE_GAIN] * mass_given
-        effects += [next(e for e in EFFECTS if e.name == name)._replace(variants=tuple(
-            Variant(form, ('load',)) for form in forms[name])) for name in forms]
-    return tuple(effects)
+        effects |= DRIVE_GAIN if mass_given else {}
+        effects |= {name: tuple(Variant(each, ('load',)) for each in own)
+                    for name, own in late_forms.items()}
+    return effects
 
 
 def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool

@@ -20,17 +20,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.course import at_rest, cycle, one_rate, passes, turning_points
 from asi_analysis.gap.model import static_blocks
-from asi_analysis.gap.model.effects import (
-    COMMAND_PATH,
-    MECHANICS,
-    SENSOR,
-    VALVE,
-    Effect,
-    Free,
-    Variant,
-    freed,
-    in_each,
-)
+from asi_analysis.gap.model.effects import Effects, Free, Variant, freed, in_each
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.predict import for_recordings
 from asi_analysis.gap.parts import reported, split
@@ -69,11 +59,10 @@ ABSOLUTE: Final = {'deadband_centre': 'input', 'asymmetry_centre': 'input',
                    'limit_above': 'output', 'limit_below': 'output'}
 
 
-def _effect(name: str, block: str, description: str, *variants: tuple[Free, ...] | Variant,
-            exact: bool = True) -> Effect:
-    return Effect(name, block, description, tuple(
-        each if isinstance(each, Variant) else Variant(each, (CHANNEL,)) for each in variants),
-        exact)
+def _forms(*forms: tuple[Free, ...], bend: float = 0.0) -> tuple[Variant, ...]:
+    """Return forms of an effect; bend: see FIELDS."""
+    fixed = (('bend', bend),) if bend else ()
+    return tuple(Variant(free, (CHANNEL,), fixed) for free in forms)
 
 
 _LOOP = Free('loop_width', 0.0, 0.8, (0.006, 0.02, 0.06, 0.15), 'command', 'input')
@@ -85,59 +74,51 @@ _CURVE = (Free('curve_square', -0.6, 0.6, (0.05, -0.05)),
 _ABOVE = Free('limit_above', 0.6, 1.1, (0.97, 0.85), 'valve_position', 'output')
 _BELOW = Free('limit_below', -1.1, -0.6, (-0.97, -0.85), 'valve_position', 'output')
 _CORNER = Free('corner', 0.0, 0.2, (0.03, 0.1))
+_LAG = Free('valve_lag', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's')
 
-
-EFFECTS: Final = (
-    _effect('transport_delay', COMMAND_PATH, 'the output comes later', (
+EFFECTS: Final[Effects] = {
+    'transport_delay': _forms((
         Free('command_delay', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),)),
-    _effect('command_quantisation', COMMAND_PATH, 'the input acts in steps', (
+    'command_quantisation': _forms((   # the input acts in steps
         Free('command_quantum', 0.99, 1.01, (1.0,), 'residual_step', 'input'),
         Free('command_phase', 0.4, 1.6, (1.0, 0.75, 1.25, 0.55), 'residual_step_phase', 'turns'),
         Free('command_edge', 0.0, 0.3, (0.05,)))),
-    _effect(
-        'valve_hysteresis', VALVE, 'the way up and the way down differ, however slow',
+    # The way up and the way down differ, however slow.
+    'valve_hysteresis': (
         Variant((_LOOP, _BEGIN), (CHANNEL,), (('loop_share', 1.0), ('loop_spread', 0.0))),
-        (_LOOP, _BEGIN, Free('loop_share', 0.03, 1.0, (0.9, 0.3)),
-         Free('loop_spread', 0.0, 1.0, (0.7, 0.3)), Free('loop_skew', -0.9, 0.9, (0.0,))),
-        exact=False),
-    _effect(
-        'valve_deadband', VALVE, 'the output stands still about a value of the input',
-        _BAND, (*_BAND, Free('deadband_slope', 0.0, 0.5, (0.1,)))),
-    _effect(
-        'valve_saturation', VALVE, 'the output goes only so far',
-        (_ABOVE, _BELOW, _CORNER), (_ABOVE, _CORNER), (_BELOW, _CORNER)),
+        *_forms((
+            _LOOP, _BEGIN, Free('loop_share', 0.03, 1.0, (0.9, 0.3)),
+            Free('loop_spread', 0.0, 1.0, (0.7, 0.3)), Free('loop_skew', -0.9, 0.9, (0.0,))))),
+    # The output stands still about a value of the input.
+    'valve_deadband': _forms(_BAND, (*_BAND, Free('deadband_slope', 0.0, 0.5, (0.1,)))),
+    'valve_saturation': _forms((_ABOVE, _BELOW, _CORNER), (_ABOVE, _CORNER), (_BELOW, _CORNER)),
     # One gain that changes, at a point or everywhere: not both.
-    _effect('gain_asymmetry', VALVE, 'the gain to one side is not that to the other', Variant(
-        (Free('gain_asymmetry', -0.8, 0.8, (0.1, -0.1)),
-         Free('asymmetry_centre', -0.8, 0.8, (0.0, 0.3, -0.3), 'command', 'input')),
-        (CHANNEL,), (('bend', 1.0),))),
-    _effect('curvature', VALVE, 'the characteristic is bent', *(
-        Variant(frees, (CHANNEL,), (('bend', 2.0),)) for frees in (_CURVE, (
-            *_CURVE, Free('curve_fourth', -0.6, 0.6, (0.02,)),
-            Free('curve_fifth', -0.6, 0.6, (0.02,))))), exact=False),
-    _effect('valve_lag', VALVE, 'the output follows with a lag', (
-        Free('valve_lag', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),),
-        (Free('valve_lag', 0.002, 2.0, (0.01, 0.05, 0.2), 'time', 's'),
-         Free('valve_lag_split', 0.0, 0.5, (0.2,)))),
-    _effect(
-        'disturbance_force', MECHANICS, 'something else acts on the output',
+    'gain_asymmetry': _forms((
+        Free('gain_asymmetry', -0.8, 0.8, (0.1, -0.1)),
+        Free('asymmetry_centre', -0.8, 0.8, (0.0, 0.3, -0.3), 'command', 'input')), bend=1.0),
+    'curvature': _forms(_CURVE, (*_CURVE, Free('curve_fourth', -0.6, 0.6, (0.02,)),
+                                 Free('curve_fifth', -0.6, 0.6, (0.02,))), bend=2.0),
+    'valve_lag': _forms((_LAG,), (_LAG, Free('valve_lag_split', 0.0, 0.5, (0.2,)))),
+    # Something else acts on the output.
+    'disturbance_force': _forms(
         (Free('disturbance_wave', 0.0, 1.0, (0.05,), 'valve_position', 'output'),
          Free('disturbance_phase', 0.5, 1.5, (1.0,), 'residual_phase', 'turns'),
          Free('disturbance_frequency', 0.98, 1.02, (1.0,), 'residual_frequency', 'Hz')),
         (Free('disturbance_pulse', -2.0, 2.0, (0.05, -0.05), 'valve_position', 'output'),
          Free('disturbance_start', 0.997, 1.003, (1.0,), 'residual_start', 's'),
          Free('disturbance_end', 0.997, 1.003, (1.0,), 'residual_end', 's'))),
-    _effect('sensor_drift', SENSOR, 'the output wanders', (
+    'sensor_drift': _forms((
         Free('sensor_drift', -3.0, 3.0, (0.02, -0.02), 'drift', 'output/s'),
         Free('sensor_drift_curve', -3.0, 3.0, (0.0,), 'drift_curve', 'output/s2'),
-        Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'output/s3')), exact=False),
-)
+        Free('sensor_drift_bend', -3.0, 3.0, (0.0,), 'drift_bend', 'output/s3'))),
+}
 # Of several recordings: each has its own zero too.
 SHIFT = Free('sensor_offset', -1.0, 1.0, (0.0,), 'valve_position', 'output')
-GAIN = _effect('sensor_gain', SENSOR, 'the gain is another', (
-    Free('gain', -10.0, 10.0, (1.1, 0.9), 'slope', 'output/input'),))
-OFFSET = _effect('sensor_offset', SENSOR, 'the output is shifted', (
-    Free('offset', -5.0, 5.0, (0.02, -0.02), 'valve_position', 'output'),))
+# Where these are given.
+GAIN: Final[Effects] = {'sensor_gain': _forms((
+    Free('gain', -10.0, 10.0, (1.1, 0.9), 'slope', 'output/input'),))}
+OFFSET: Final[Effects] = {'sensor_offset': _forms((
+    Free('offset', -5.0, 5.0, (0.02, -0.02), 'valve_position', 'output'),))}
 
 
 def static_signals(run: Run, wanted_in: str | None = None, wanted_out: str | None = None
@@ -344,19 +325,18 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
     p = for_recordings(p, count)
     nuisance = [Free('offset', -5.0, 5.0, (shift / scale['valve_position'],), 'valve_position')
                 ] if 'offset' not in known else []
-    effects = list(_with_initial_guesses(recordings))
+    effects = _with_initial_guesses(recordings)
     if 'gain' not in known:
         nuisance.append(Free('gain', -10.0, 10.0, (slope / scale['slope'],), 'slope'))
     else:
         nuisance.append(Free('gain', 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal'))
-        effects.append(GAIN)
+        effects |= GAIN
     if 'offset' in known:
-        effects.append(OFFSET)
+        effects |= OFFSET
     if all(at_rest(r) > AT_REST_SHARE for r in recordings):
-        effects = [each for each in effects if each.name != 'command_quantisation']
+        del effects['command_quantisation']
     if count > 1:
-        effects = [freed([each], lambda free: (*free, SHIFT))[0]
-                   if each.name == 'sensor_drift' else each for each in effects]
+        effects |= freed({'sensor_drift': effects['sensor_drift']}, lambda free: (*free, SHIFT))
     noise = max(r.noise['valve_position'] for r in recordings)
     size = float(np.std(y))
     floor = noise ** 2 + (MODEL_ERROR * size) ** 2
@@ -368,7 +348,7 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
                  ), notes_of(runs, recordings)
 
 
-def _with_initial_guesses(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
+def _with_initial_guesses(recordings: Sequence[Recording]) -> Effects:
     """Return the effects, with initial guesses of dead band and two slopes by a coarse search."""
     x, y = (np.concatenate([getattr(r, name)[r.known] for r in recordings])
             for name in ('command', 'valve_position'))

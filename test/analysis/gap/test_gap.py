@@ -39,7 +39,7 @@ from asi_analysis.gap.inference.probability import (
 )
 from asi_analysis.gap.inference.simulated import own_laws
 from asi_analysis.gap.inference.uncertainty import Likelihood, end
-from asi_analysis.gap.model.effects import BY_NAME
+from asi_analysis.gap.model.effects import EFFECTS, has_one_law
 from asi_analysis.gap.model.predict import plant_record, predict, propagated_noise
 from asi_analysis.gap.prepare import prepare
 from asi_common.parameter import ParameterError, completed
@@ -147,7 +147,7 @@ def test_nominal_parameter_beyond_its_tolerance_is_fitted():
                                 full, 0.2, [False])
     group = groups[-1]
     null = fit_null(group)
-    variant = BY_NAME['coulomb_friction'].variants[-1]
+    variant = EFFECTS['coulomb_friction'][-1]
     screen = LinearScreen(null)
     assert screen.cost(group, [variant]) < 0.5 * null.cost
     fitted = fit_variants(group, screen, [variant])
@@ -206,7 +206,7 @@ def test_bouc_wen_hysteresis_is_fitted():
     group = actuator_groups([dataclasses.replace(run, valve_position_m=valve)], TEXTBOOK, 0.2,
                             [False])[0][0]
     null = fit_null(group)
-    fitted = fit_variants(group, LinearScreen(null), BY_NAME['valve_hysteresis'].variants[:1])
+    fitted = fit_variants(group, LinearScreen(null), EFFECTS['valve_hysteresis'][:1])
     assert fitted.held_out['valve'] < 0.003 * null.held_out['valve']
 
 
@@ -224,7 +224,7 @@ def test_initial_guess_of_a_command_quantum(deadband, command):
     group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
     fitted = fit_null(group)
     if deadband:
-        fitted = fit_variants(group, LinearScreen(fitted), BY_NAME['valve_deadband'].variants[:1])
+        fitted = fit_variants(group, LinearScreen(fitted), EFFECTS['valve_deadband'][:1])
     assert initial_guesses(fitted)['residual_step_edge'] == pytest.approx(67.5, rel=5e-3)
 
 
@@ -236,8 +236,8 @@ def test_limited_force_with_supply_drop_is_fitted():
     force = predict(prepare([run])[0], 'force', p)
     run = dataclasses.replace(run, force_n=force + np.random.default_rng(3).normal(0.0, 1.0, 6000))
     group = actuator_groups([run], model, 0.2, [False])[0][-1]
-    limit, supply = (BY_NAME['valve_saturation'].variants[1],
-                     BY_NAME['supply_pressure'].variants[0])
+    limit, supply = (EFFECTS['valve_saturation'][1],
+                     EFFECTS['supply_pressure'][0])
     first = fit_variants(group, LinearScreen(fit_null(group)), (limit,))
     both = fit_variants(group, LinearScreen(first), (limit, supply))
     assert both.held_out['force'] < 1.2 * group.noise['force'] ** 2
@@ -250,7 +250,7 @@ def test_pulse_that_ends_in_a_held_out_part_is_located():
     group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][0]
     null = fit_null(group)
     group.scale.update(initial_guesses(null))
-    pulse = fit_variants(group, LinearScreen(null), BY_NAME['disturbance_force'].variants[2:])
+    pulse = fit_variants(group, LinearScreen(null), EFFECTS['disturbance_force'][2:])
     assert pulse.values['disturbance_end'] == pytest.approx(2.8, abs=0.003)
 
 
@@ -310,7 +310,7 @@ def test_second_effect_must_exceed_the_formulation_error_of_the_first(first, sec
         parameters={(): 0, (first,): 2, (second,): 2, pair: 4})
     chance = probabilities(evidence)
     assert max(chance, key=lambda names: chance[names]) == (
-        pair if BY_NAME[first].exact else (first,))
+        pair if has_one_law(first) else (first,))
 
 
 def evidence_of_one(residual, **more):
@@ -378,7 +378,7 @@ def test_what_the_beginning_of_a_chirp_hardly_shows_is_found_in_the_whole():
 def test_fit_starts_from_parameters_outside_its_bounds():
     group = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1]
     null = fit_null(group)   # without compliance, which what touches has
-    floating = BY_NAME['backlash'].variants[-1]
+    floating = EFFECTS['backlash'][-1]
     fitted = fit_subset(group, null, (floating,), null)
     assert null.record['compliance'] == 0.0 < fitted.values['compliance']
 

@@ -27,7 +27,7 @@ from asi_analysis.gap.findings.localisation import by_block, explained
 from asi_analysis.gap.findings.ripple import ripple
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
-from asi_analysis.gap.model.effects import BY_NAME
+from asi_analysis.gap.model.effects import EFFECTS
 from asi_analysis.gap.words import between, in_words, percent, sentences, unit_of, with_id
 
 
@@ -35,7 +35,7 @@ def weighed_pair(run: Run, forms: dict[str, int]) -> Weighed:
     """Return a recording that is surely of a pair of effects, each in the form of this number."""
     group = actuator_groups([run], TEXTBOOK, 0.2, [False])[0][-1]
     null, names = fit_null(group), tuple(forms)
-    variants = tuple(BY_NAME[name].variants[form] for name, form in forms.items())
+    variants = tuple(EFFECTS[name][form] for name, form in forms.items())
     both = Candidate(names, variants, fit_variants(group, LinearScreen(null), variants))
     return Weighed(group, {(): Candidate((), (), null), names: both}, {(): 0.0, names: 1.0})
 
@@ -43,7 +43,7 @@ def weighed_pair(run: Run, forms: dict[str, int]) -> Weighed:
 def test_shares_of_blocks_are_numbers():
     """Without a backlash, what a form of it fixes beside its size is null too."""
     run = recorded(backlash__gap=3e-4, force_sensor__offset=15.0)[:2500]
-    floating = BY_NAME['backlash'].variants[2]
+    floating = EFFECTS['backlash'][2]
     assert floating.fixed == (('backlash_floating', 1.0),)
     share = by_block([weighed_pair(run, {'backlash': 2, 'sensor_offset': 0})])
     assert sum(share.values()) == pytest.approx(1.0) and share['mechanics'] > 0.1
@@ -119,7 +119,7 @@ def test_a_parameter_may_have_a_tolerance_of_its_own(tmp_path):
 def test_words_of_a_joint_have_no_valve():
     assert with_id('valve_deadband', 'actuator') == 'dead band of the valve (valve_deadband)'
     assert with_id('backlash', 'actuator') == 'backlash'
-    named = [in_words(name, 'joint') for name in (*BY_NAME, *BLOCKS)]
+    named = [in_words(name, 'joint') for name in (*EFFECTS, *BLOCKS)]
     assert not any('valve' in each for each in named)
     torque = Run(np.arange(4.0), command_n=np.zeros(4), position_m=np.zeros(4),
                  information={'signals': {'command': 'Nm', 'position': 'rad'}})

@@ -243,7 +243,7 @@ def test_every_uncertain_parameter_is_that_of_a_hypothesis():
     recordings = prepared([recorded({'load.type': 'spring'}, duration_s=2.0)])
     for channels in (('valve',), CHANNELS):
         group = simulator_group(nominal, recordings, channels)
-        group = replace(group, effects=(*group.effects, *parameter_errors(group)))
+        group = replace(group, effects=group.effects | parameter_errors(group))
         for free in (*group.nuisance, *group.usual_shapes):
             assert free.prior == math.inf or free.field in {
                 each.field for each in form_of(group, free.field)[1].free}
@@ -376,10 +376,10 @@ def test_a_parameter_within_its_tolerance_is_never_better_than_the_nominal_model
         problem = Posterior(group, without_prior(group.nuisance, variants))
         return Found(names, variants, problem, Best(theta, 0.0, theta)).at(theta)
 
-    mass, = (each for each in parameter_errors(group) if each.name == 'parameter:load.mass')
+    name = 'parameter:load.mass'
     mean, precision = Posterior(group, group.nuisance).prior
     off = np.where(precision > 0.0, 0.2 / np.sqrt(np.maximum(precision, 1.0)), 0.05)
-    named = at((mass.name,), mass.variants, mean)
+    named = at((name,), parameter_errors(group)[name], mean)
     found = with_noise_from_fit({(): at((), (), mean + off), named.names: named})
     assert found[()].best.cost < found[named.names].best.cost + 1.0
 
@@ -408,8 +408,8 @@ def test_an_effect_beside_improbable_parameters_is_not_sure(factor, low, high):
            for name in ('hysteresis.radius', 'hysteresis.lag_time', 'hysteresis.saturation')}
     group = simulator_group(nominal, prepared([recorded(
         {**off, 'valve_flexure.bias': 20.0}, duration_s=1.5)]), ('valve',))
-    bias = next(each for each in group.effects if each.name == 'valve_bias').variants[:1]
-    group = with_formulation(replace(group, effects=()), True)
+    bias = group.effects['valve_bias'][:1]
+    group = with_formulation(replace(group, effects={}), True)
 
     def fit(names, variants):
         problem = Posterior(group, (*group.nuisance, *(
@@ -496,7 +496,6 @@ def test_a_difference_as_small_as_the_simulations_own_error_is_no_evidence(bias,
         simulator.simulator_record(nominal), prepared([run]), ('valve',)), {'valve': 0.0})
     # As of a signal whose noise was estimated to be more.
     group = replace(group, noise={'valve': math.sqrt(group.error_floor['valve'])})
-    effect = next(each for each in group.effects if each.name == 'valve_bias')
 
     def found(names, *variants):
         problem = Posterior(group, (*group.nuisance[:2], *(
@@ -504,7 +503,7 @@ def test_a_difference_as_small_as_the_simulations_own_error_is_no_evidence(bias,
         return Found(names, variants, problem, most_probable(problem, problem.nominal))
 
     chance, _ = weigh(group, {(): found(()), ('valve_bias',): found(
-        ('valve_bias',), effect.variants[0])})
+        ('valve_bias',), group.effects['valve_bias'][0])})
     assert (chance[('valve_bias',)] > 0.9) == named
 
 

@@ -168,14 +168,14 @@ def with_improbable_named(found: Found) -> Iterator[Found]:
     mean, precision = problem.prior
     costs = 0.5 * precision * (found.best.theta - mean) ** 2
     cost = dict(zip((free.field for free in problem.free), costs, strict=True))
-    for effect in problem.group.effects:
-        for variant in effect.variants:
+    for name, forms in problem.group.effects.items():
+        for variant in forms:
             fields = {free.field for free in variant.free if free.scale == 'nominal'}
-            if (effect.name not in found.names and len(fields) == len(variant.free)
+            if (name not in found.names and len(fields) == len(variant.free)
                     and fields <= cost.keys()
                     and sum(cost[field] for field in fields) > ODDS_AGAINST):
                 yield found._replace(
-                    names=tuple(sorted((*found.names, effect.name))),
+                    names=tuple(sorted((*found.names, name))),
                     variants=(*found.variants, variant),
                     problem=replace(problem, free=without_prior(problem.free, [variant])))
 

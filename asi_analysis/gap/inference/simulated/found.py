@@ -22,7 +22,7 @@ from asi_analysis.gap.inference.posterior import (
     power,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.simulator import VALVE_ERROR
 
 # A right hypothesis may leave a mean square of MARGIN error floors, and of the uncertainty of the
@@ -200,7 +200,7 @@ def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:
 def freed_fields(found: Found) -> tuple[set[str], set[str]]:
     """Return the fields that are free in a fit, and those among them of its last effect."""
     return ({free.field for free in found.problem.free},
-            {free.field for variant in found.variants[-1:] for free in variant.free})
+            fields_of(found.variants[-1:]))
 
 
 def nearest_to_nominal(found: Found, equal: Array) -> Found:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from asi_actuator.parameters import ACTUATOR_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.posterior import (
     FAR,
@@ -16,11 +15,10 @@ from asi_analysis.gap.inference.posterior import (
 )
 from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import Found
-from asi_analysis.gap.model.effects import PARAMETER, Effect, Free, Variant, block_of
+from asi_analysis.gap.model.effects import DOTTED, PARAMETER, Effects, Free, Variant
 from asi_analysis.gap.model.group import Group, acts_on, with_fitted_start
 from asi_analysis.gap.model.simulator import VALVE_ERROR
 from asi_analysis.gap.model.start import SEAL
-from asi_common.record import field_name
 
 SEAL_STARTS = (0.15, 0.85)   # initial guesses of the seals' deflection, as shares of its range
 
@@ -32,7 +30,7 @@ def null_fit(group: Group) -> Found:
 
 def rough_null_fit(group: Group) -> Found:
     """Return `null_fit`, roughly converged."""
-    group = replace(group, effects=(*group.effects, *parameter_errors(group)),
+    group = replace(group, effects=group.effects | parameter_errors(group),
                     scale=dict(group.scale))
     problem = Posterior(group, group.nuisance)
     first = min((most_probable(problem, start, rounds=2) for start in _start_guesses(problem)),
@@ -80,19 +78,12 @@ def _start_guesses(problem: Posterior) -> Iterator[Array]:
         yield begun
 
 
-def parameter_errors(group: Group) -> list[Effect]:
+def parameter_errors(group: Group) -> Effects:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
-    held = {free.field for effect in group.effects for variant in effect.variants
-            for free in variant.free if free.scale == 'nominal'}
-    return [_parameter_error(free.field, group) for free in group.nuisance
-            if free.prior < math.inf and free.scale == 'nominal' and free.field not in held]
-
-
-def _parameter_error(field: str, group: Group) -> Effect:
-    """Return the hypothesis that one nominal parameter is beyond its tolerance."""
-    dotted = next(p.name for p in ACTUATOR_PARAMETERS if field_name(p.name) == field)
-    free = Free(field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal')
-    return Effect(PARAMETER + dotted, str(block_of(PARAMETER + dotted)),
-                  f'{dotted} is beyond its tolerance',
-                  (Variant((free,), tuple(channel for channel in group.channels
-                                          if acts_on(field, channel, group))),), exact=True)
+    held = {free.field for forms in group.effects.values() for form in forms
+            for free in form.free if free.scale == 'nominal'}
+    return {PARAMETER + DOTTED[free.field]: (Variant(
+        (Free(free.field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal'),),
+        tuple(channel for channel in group.channels if acts_on(free.field, channel, group))),)
+        for free in group.nuisance
+        if free.prior < math.inf and free.scale == 'nominal' and free.field not in held}

@@ -31,7 +31,7 @@ from asi_analysis.gap.inference.simulated.found import Found, cost_of
 from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.search import single_effects, with_pairs
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
-from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effect, has_one_law
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effects, has_one_law
 from asi_analysis.gap.model.group import Group
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
@@ -121,16 +121,16 @@ def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Nam
             not has_one_law(first.names[0])):
         return found
     every = found[()].problem.group.effects
-    effects = tuple(each for each in every if not each.name.startswith(PARAMETER))
+    effects = {name: forms for name, forms in every.items() if not name.startswith(PARAMETER)}
     pairs = with_pairs(_of_effects(found, effects), tick, False)
     return {names: each for names, each in _of_effects(pairs, every).items()
             if len(names) < 2 or not each.unexplained}
 
 
-def _of_effects(found: Mapping[Names, Found], effects: Sequence[Effect]) -> dict[Names, Found]:
+def _of_effects(found: Mapping[Names, Found], effects: Effects) -> dict[Names, Found]:
     """Return hypotheses whose group has these effects."""
     return {names: each._replace(problem=replace(each.problem, group=replace(
-        each.problem.group, effects=tuple(effects)))) for names, each in found.items()}
+        each.problem.group, effects=effects))) for names, each in found.items()}
 
 
 def _goal(leader: Found, null: Found) -> float:

@@ -16,7 +16,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Posterior
 from asi_analysis.gap.inference.simulated.found import Found
-from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.group import channels_of
 
 # Largest multiple of an effect's initial guess; the least one that a fit can begin with.
@@ -55,9 +55,9 @@ def _starts(base: Found, small: bool) -> list[Start]:
     shares = dict(zip((free.field for free in problem.free), base.best.theta, strict=True))
     shorter = max(group.exact_substep_s, min(STIFF_S, float(group.nominal['maximum_substep'])))
     work = []
-    held = {free.field for variant in base.variants for free in variant.free}
-    for effect in group.effects:
-        for variant in effect.variants if effect.name not in base.names else ():
+    held = fields_of(base.variants)
+    for name, forms in group.effects.items():
+        for variant in forms if name not in base.names else ():
             # A wave or pulse of a disturbance is only guessed where the motion was measured.
             guessed = all(free.scale in group.scale for free in variant.free
                           if free.scale.startswith('residual_'))
@@ -74,7 +74,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
                 float(np.clip(extended.parameter(f).share(float(values[f.field])), 0.0, 1.0))
                 for f in extended.free])
             if own <= shares.keys():   # parameters of the base itself, as fitted
-                work.append(Start(effect.name, variant, extended, null, null))
+                work.append(Start(name, variant, extended, null, null))
             for varied in variant.free:   # each in turn at all its starts, the others at the first
                 if len(varied.starts) == 1 and varied is not variant.free[0]:
                     continue
@@ -84,7 +84,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
                         shares[f.field] if f.field not in own else
                         extended.start(f, start if f is varied else f.starts[0])
                         for f in extended.free])
-                    work.append(Start(effect.name, variant, extended, theta, null))
+                    work.append(Start(name, variant, extended, theta, null))
     return work
 
 

@@ -15,7 +15,7 @@ from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import Found, freed_fields, with_values_of
-from asi_analysis.gap.model.effects import Variant
+from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.start import actuator_of
 
 LITTLE = 0.1   # share of a motion that slides, below which a friction is a spring
@@ -31,7 +31,7 @@ def alone_of(null: Found, found: Found, variant: Variant) -> Found:
         *(free for free in null.problem.free if free.field not in own), *variant.free))
     theta = np.array([problem.parameter(free).share(float(values[free.field]))
                       for free in problem.free])
-    name, = (effect.name for effect in problem.group.effects if variant in effect.variants)
+    name, = (name for name, forms in problem.group.effects.items() if variant in forms)
     return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
 
 
@@ -45,8 +45,8 @@ def simpler_forms(found: Found, goal: float) -> Iterator[Found]:
     problem, values = found.problem, found.problem.record(found.best.theta)
     for number, form in enumerate(found.variants):
         own, others = form.fields, (*found.variants[:number], *found.variants[number + 1:])
-        for effect in problem.group.effects:
-            for variant in effect.variants if form in effect.variants else ():
+        for forms in problem.group.effects.values():
+            for variant in forms if form in forms else ():
                 held = own - variant.fields
                 if (not variant.fields < own or variant.fixed != form.fixed
                         or any(held & other.fields for other in others)):
@@ -84,8 +84,7 @@ def never_slides(found: Found) -> bool:
 
     That is: where the piston has moved by half of its range, hardly any of the motion slides.
     """
-    own = {free.field for variant in found.variants for free in variant.free}
-    if not {'friction_coulomb', 'friction_presliding_stiffness'} <= own:
+    if not {'friction_coulomb', 'friction_presliding_stiffness'} <= fields_of(found.variants):
         return False
     p = actuator_of(found.problem.record(found.best.theta))
     _, reach = elements(p)

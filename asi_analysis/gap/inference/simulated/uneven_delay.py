@@ -28,7 +28,6 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_usual_parameters,
 )
 from asi_analysis.gap.inference.simulated.found import COST_RANGE, Found
-from asi_analysis.gap.model.effects import Effect
 from asi_analysis.gap.model.predict import judged_error, measured, predict
 from asi_analysis.gap.model.simulator import DELAYS, SPREAD, of_simulator, pulse_response
 from asi_analysis.gap.prepare import Recording, first_of_recording
@@ -113,13 +112,9 @@ def how_uneven(best: Candidate) -> str | None:
             f'{1e3 * float(p[SPREAD]):.2g} ms either way, at random')
 
 
-def _effect(found: Found) -> Effect:
-    return next(each for each in found.problem.group.effects if each.name == EFFECT)
-
-
 def _with_delay(null: Found) -> Found:
     """Return the nominal model with a delay of the command in addition, not fitted."""
-    problem, form = null.problem, _effect(null).variants[0]
+    problem, form = null.problem, null.problem.group.effects[EFFECT][0]
     free, = form.free
     longer = replace(problem, free=(*problem.free, free))
     theta = np.append(null.best.theta, longer.start(free, free.starts[0]))
@@ -129,7 +124,7 @@ def _with_delay(null: Found) -> Found:
 def _of_command(found: Found) -> Found:
     """Return a hypothesis whose delay is all of the command, of which a part may be uneven."""
     problem, p = found.problem, found.problem.record(found.best.theta)
-    form = _effect(found).variants[0]
+    form = problem.group.effects[EFFECT][0]
     numbers = [number for number, free in enumerate(problem.free) if free.field == FLEXURE]
     if form in found.variants or not numbers:
         return found
