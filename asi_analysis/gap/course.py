@@ -40,14 +40,12 @@ def turning_points(values: Array, least: float = TURN) -> list[int]:
 
 def passes(recording: Recording) -> list[tuple[int, int]]:
     """Return the stretches of samples over which the input moves one way."""
-    assert recording.command is not None
-    return list(itertools.pairwise(turning_points(recording.command)))
+    return list(itertools.pairwise(turning_points(recording.input)))
 
 
 def rates(recording: Recording) -> Array:
     """Return the mean speed of the input (units/s) in each of its passes."""
-    assert recording.command is not None
-    return np.array([abs(recording.command[end] - recording.command[start])
+    return np.array([abs(recording.input[end] - recording.input[start])
                      / ((end - start) * recording.period_s)
                      for start, end in passes(recording)])
 
@@ -64,9 +62,8 @@ def one_rate(recordings: Sequence[Recording]) -> bool:
 
 def at_rest(recording: Recording) -> float:
     """Return the share of the time in which the input is at rest, relative to its passes."""
-    assert recording.command is not None
     usual = float(np.median(rates(recording))) if len(passes(recording)) else 0.0
-    return float(np.mean(np.abs(np.gradient(recording.command, recording.period_s))
+    return float(np.mean(np.abs(np.gradient(recording.input, recording.period_s))
                          <= SLOW * usual))
 
 
@@ -100,10 +97,9 @@ def in_step(recording: Recording, frequency: float) -> bool:
     Such a wave belongs to the characteristic; it is not a disturbance. A slow drift from cycle to
     cycle shifts the lowest harmonics, hence their wider limit.
     """
-    assert recording.command is not None
-    lag = cycle(recording.command) or _to_and_fro(recording.command)
+    lag = cycle(recording.input) or _to_and_fro(recording.input)
     if not lag:
         return False
     times = frequency * lag * recording.period_s
-    off = abs(times - round(times)) / lag * recording.command.size   # in 1 / duration
+    off = abs(times - round(times)) / lag * recording.input.size   # in 1 / duration
     return off < (IN_STEP_SLOW if times < 3.5 else IN_STEP)

@@ -61,6 +61,11 @@ class Motion:
     measured: bool               # false if the position was found by integration
 
     @property
+    def inner(self) -> slice:
+        """Return the samples of the recording within those of the extended motion."""
+        return slice(self.pad, -self.pad)
+
+    @property
     def edge_hz(self) -> float:
         """Return the upper end of the band in which signals are compared (-3 dB)."""
         inside = self.omega[self.judge > math.sqrt(0.5)]
@@ -250,7 +255,7 @@ def judged(values: Array, motion: Motion) -> Array:
     """Return a recorded signal, filtered to the band in which the motion is compared."""
     spectrum = np.fft.rfft(extended(values, motion.pad)) * motion.judge
     count = values.size + 2 * motion.pad
-    return np.fft.irfft(spectrum, count)[motion.pad:motion.pad + values.size]
+    return np.fft.irfft(spectrum, count)[motion.inner]
 
 
 def stands(position: Array, period: float, band: float) -> Mask:

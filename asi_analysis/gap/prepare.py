@@ -1,9 +1,9 @@
 """Prepare runs for the diagnosis: the signals that it compares, and parts of the data."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -25,6 +25,7 @@ from asi_analysis.gap.motion import (
 )
 from asi_analysis.gap.parts import balanced_split, reported, split
 from asi_analysis.gap.sampling import clipped, noise_of, recorded, uniform
+from asi_analysis.parallel import cores
 
 LEAST_BAND_HZ = 5.0     # of a joint whose motion is hardly above its noise
 # A rigid model of a joint is compared below this: gears and belts have their modes above.
@@ -36,7 +37,8 @@ REST = ('force', 'velocity', 'valve_position')   # signals that are 0 at rest
 AT_REST = 5.0           # a signal is 0 within so many standard deviations of its noise
 START_S = 0.02          # length of the beginning of a recording
 LEAST_PART_S = 1.0      # of a recording that is fitted by itself
-Made = TypeVar('Made')
+# The most parts of predictions that are cached, of each kind (two for each thread), and bytes.
+CACHE_SIZE, CACHE_BYTES = 2 + 2 * cores(), 2 ** 28
 
 
 @dataclass(frozen=True)
@@ -77,18 +79,40 @@ class Recording:
     # What the nominal model of a joint has removed: gravity_sine and gravity_cosine Nm, constant
     # N; or the fields of its `Servo`.
     taken: Mapping[str, float] = field(default_factory=dict)
-    cache: dict[Any, Any] = field(default_factory=dict)   # parts of predictions
+    cache: dict[str, dict[Hashable, Array]] = field(default_factory=dict)   # by kind and key
 
     def sub_steps(self, longest_s: float) -> int:
         """Return the number of equal sub-steps of a period, each at most `longest_s` s."""
         return max(1, math.ceil(self.period_s / longest_s - 1e-9))
 
-    def once(self, what: str, make: Callable[[], Made]) -> Made:
-        """Return what is made of period and motion, which are the same in each prediction."""
-        found: Made | None = self.cache.get(what)   # another thread may empty the cache
-        if found is None:
-            found = self.cache[what] = make()
-        return found
+    def cached(self, kind: str, key: Hashable, make: Callable[[], Array]) -> Array:
+        """Return a part of a prediction; from the cache, if it was made with this key before."""
+        parts = self.cache.setdefault(kind, {})   # several threads use it: each step is atomic
+        part: Array | None = parts.pop(key, None)
+        if part is None:
+            part = make()
+        parts[key] = part   # the latest last
+        for old in list(parts)[:-min(CACHE_SIZE, max(CACHE_BYTES // part.nbytes, 1))]:
+            parts.pop(old, None)
+        return part
+
+    @property
+    def input(self) -> Array:
+        """Return the command, of a recording that holds one."""
+        assert self.command is not None
+        return self.command
+
+    @property
+    def output(self) -> Array:
+        """Return the valve position: of a servo or a characteristic, what it answers."""
+        assert self.valve_position is not None
+        return self.valve_position
+
+    @property
+    def moved(self) -> Motion:
+        """Return the motion, of a recording that holds one."""
+        assert self.motion is not None
+        return self.motion
 
     @property
     def known(self) -> Mask:
@@ -130,7 +154,7 @@ def velocity_of(recording: Recording) -> Array | None:
     motion = recording.motion
     if recording.velocity is not None or motion is None:
         return recording.velocity
-    return motion.velocity[motion.pad:motion.pad + recording.fit.size]
+    return motion.velocity[motion.inner]
 
 
 def _origin(signals: Mapping[str, Array], period: float) -> float | None:

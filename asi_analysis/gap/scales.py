@@ -23,8 +23,8 @@ def scales(recordings: Sequence[Recording]) -> Values:
     motions = [recording.motion for recording in recordings if recording.motion]
     command = _range([recording.command for recording in recordings])
     force = _range([recording.force for recording in recordings])
-    velocity = _range([motion.velocity[motion.pad:-motion.pad] for motion in motions])
-    position = _range([motion.position[motion.pad:-motion.pad] for motion in motions])
+    velocity = _range([motion.velocity[motion.inner] for motion in motions])
+    position = _range([motion.position[motion.inner] for motion in motions])
     duration = max(recording.fit.size * recording.period_s for recording in recordings)
     return {
         '': 1.0, 'command': command, 'force': force,

@@ -31,7 +31,7 @@ def branches(group: Group) -> tuple[Array, Array, Array]:
     recording, in which a lag has the least influence.
     """
     slowest = min(group.recordings, key=lambda r: float(np.median(rates(r))) if passes(r) else 0.0)
-    x, y = np.asarray(slowest.command), np.asarray(slowest.valve_position)
+    x, y = slowest.input, slowest.output
     up = np.gradient(x) > 0.0
     bins = int(np.clip(x.size // PER_BIN, FEWEST, BINS))
     edges = np.linspace(x.min(), x.max(), bins + 1)

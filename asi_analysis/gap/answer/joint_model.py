@@ -108,8 +108,7 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     """Return a joint that is moved by a force."""
     run = runs[0]
     recording = weighed.group.recordings[0]
-    taken, motion = recording.taken, recording.motion
-    assert motion is not None
+    taken, motion = recording.taken, recording.moved
     origin = _origin(run)
     unit = run.unit('position' if run.position_m is not None else 'velocity')
     level = float(p['friction_level'])
@@ -117,7 +116,7 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
     gain = 1.0 - float(p['drive_loss'])
     constant = (gain * taken.get('constant', 0.0) + float(p['load_offset'] - p['disturbance'])
                 + level * float(p['friction_asymmetry']))
-    inner = motion.position[motion.pad:motion.pad + recording.fit.size] + origin
+    inner = motion.position[motion.inner] + origin
     delay = float(p['drive_delay'])
     notes = {}   # of what was identified before the fit, or is written as another value
     if delay:   # a command that is held is late by half a sample without any
@@ -151,7 +150,7 @@ def moved_by(weighed: Weighed, p: np.void, runs: Sequence[Run]) -> JointModel:
         cosine, gain=gain, bias=-constant, delay_s=delay + second, lag_s=lag,
         period_s=recording.period_s, travel=(float(inner.min()), float(inner.max())),
         seen_push=pushed,
-        seen_speed=_most(motion.velocity[motion.pad:-motion.pad]), notes=notes, unit=force,
+        seen_speed=_most(motion.velocity[motion.inner]), notes=notes, unit=force,
         loads=tuple(loads),
         unsaid=tuple(f'constant load of recording {number}, {digits(each, force)} more'
                      for number, each in enumerate(loads, 1) if abs(each) > RIGID_ERROR * pushed))

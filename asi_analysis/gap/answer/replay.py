@@ -68,11 +68,10 @@ def _played(run: Run, recording: Recording, servo: bool, driven: bool) -> Played
         position = _at(times, run, 'position')
         return Played(_held(times, run, 'reference'), position, np.zeros_like(position),
                       [slice(0, times.size)], recording.period_s)
-    motion = recording.motion
-    assert motion is not None and recording.force is not None
-    inner = slice(motion.pad, motion.pad + recording.fit.size)
+    motion = recording.moved
+    assert recording.force is not None
     origin = 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
-    position = motion.position[inner] + origin
+    position = motion.position[motion.inner] + origin
     if driven:
         command = _held(times, run, 'command')
     else:
@@ -85,7 +84,8 @@ def _played(run: Run, recording: Recording, servo: bool, driven: bool) -> Played
     velocity = motion.velocity
     if motion.measured:   # a derivative of a position: fast noise of it would be the state
         velocity = np.fft.irfft(motion.velocity_spectrum * motion.judge, velocity.size)
-    return Played(command, position, velocity[inner], _pieces(recording), recording.period_s)
+    return Played(command, position, velocity[motion.inner], _pieces(recording),
+                  recording.period_s)
 
 
 def _pieces(recording: Recording) -> list[slice]:

@@ -68,9 +68,8 @@ def _characteristic(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     if answer['verdict'] != NO_GAP:
         records['with what was found'] = diagnosis.best(weighed).fitted.record
     origin = recording.taken
-    assert recording.command is not None and recording.valve_position is not None
     return pictures.characteristic(
-        recording.command + origin['input'], recording.valve_position + origin['output'],
+        recording.input + origin['input'], recording.output + origin['output'],
         {name: predict(recording, 'static', p) + origin['output'] for name, p in records.items()},
         (found['input'].replace('_', ' '), found['output'].replace('_', ' ')),
         (found['input_unit'], found['output_unit']))

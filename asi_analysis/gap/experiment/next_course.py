@@ -73,10 +73,9 @@ def choose_course(groups: Sequence[Weighed], ambiguous: list[Names]) -> dict[str
 def course(group: Group, name: str) -> Recording:
     """Return a recording of a course of the catalogue, over the range of the first recording."""
     known = group.recordings[0]
-    assert known.command is not None
     shape, faster = CATALOGUE[name]
-    reach, middle = 0.5 * float(np.ptp(known.command)), 0.5 * float(
-        known.command.min() + known.command.max())
+    reach, middle = 0.5 * float(np.ptp(known.input)), 0.5 * float(
+        known.input.min() + known.input.max())
     found = rates(known)
     rate = faster * (float(np.median(found)) if found.size else reach / known.period_s / SAMPLES)
     period = CYCLES * 4.0 * reach / rate / SAMPLES

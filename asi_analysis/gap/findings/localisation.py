@@ -292,9 +292,8 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
         valid, left = recording.valid, unexplained(recording, channel, p)
         residual.append(left[valid])
         motion = recording.motion
-        inner = slice(motion.pad, motion.pad + recording.fit.size) if motion else slice(0)
         kinds.append({name: values[valid] for name, values in (
-            ('position', motion.position[inner] if motion and motion.measured else None),
+            ('position', motion.position[motion.inner] if motion and motion.measured else None),
             ('velocity', velocity_of(recording)),
             ('input' if channel == 'static' else 'command', recording.command),
             ('valve position', recording.valve_position),

@@ -34,7 +34,7 @@ def ripple(group: Group, channel: str, p: np.void) -> Ripple | None:
         motion = recording.motion
         if motion is None or not motion.measured:
             return None
-        position = motion.position[motion.pad:motion.pad + recording.fit.size][recording.valid]
+        position = motion.position[motion.inner][recording.valid]
         courses.append((position, unexplained(recording, channel, p)[recording.valid]))
         spans.append(float(np.ptp(position)))
     span = max(spans)

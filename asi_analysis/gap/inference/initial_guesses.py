@@ -172,7 +172,7 @@ def _excitation(recording: Recording) -> tuple[Array, ...]:
     motion, force = recording.motion, recording.force_judged
     if motion is None or force is None:
         return ()
-    return force, motion.position[motion.pad:motion.pad + recording.fit.size]
+    return force, motion.position[motion.inner]
 
 
 def _lines(power: Array, lobe: int) -> list[int]:
@@ -233,8 +233,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     """Return the command quantum (N) that explains most of a residual, by kind of rounding."""
     recording = next(r for r in fitted.problem.group.recordings if r.fit.any())
     p = fitted.record
-    command = recording.command
-    assert command is not None
+    command = recording.input
     own = simulator.of_simulator(p)
     band, bias = ((p['valve_flexure_deadband'], p['valve_flexure_bias']) if own else
                   (p['command_deadband'], p['command_bias']))

@@ -88,12 +88,10 @@ def check_joint(group: Group) -> None:
             valid = recording.valid
             if channel == 'load':
                 what = 'force (or command) compared with that of the motion'
-                against = recording.motion
-                assert against is not None
-                inner = slice(against.pad, against.pad + real.size)
+                against = recording.moved
                 # A load takes power, whatever it is made of, and friction always does: in the
                 # mean, and in what varies.
-                velocity = against.velocity[inner]
+                velocity = against.velocity[against.inner]
                 with_velocity = max(float(np.corrcoef(real[valid], velocity[valid])[0, 1]),
                                     _power_share(recording, velocity, valid))
                 # A delayed force of a mass, however, may oppose the velocity.
@@ -103,7 +101,7 @@ def check_joint(group: Group) -> None:
                 # A current that was recorded without its sign is of its motion, too.
                 with_speed = float(np.corrcoef(real[valid], np.abs(velocity[valid]))[0, 1])
                 with_position = float(np.corrcoef(   # of a spring, or gravity
-                    real[valid], against.position[inner][valid])[0, 1])
+                    real[valid], against.position[against.inner][valid])[0, 1])
                 if not reversed_ and max(with_velocity, abs(with_acceleration),
                                          abs(with_position), with_speed) < UNRELATED:
                     raise InputError(
@@ -123,8 +121,7 @@ def check_joint(group: Group) -> None:
                 # A known servo is compared with its command, which it follows: its model may be
                 # slower than the real one.
                 known = group.nominal['valve_flexure_model'] == FULL
-                assert recording.command is not None
-                driving = recording.command if known else model
+                driving = recording.input if known else model
                 shift, shifted = best_delay(real[valid], driving[valid], recording.period_s)
                 if abs(shifted) < LEAST_CORRELATION and not reversed_:
                     raise InputError(f'{recording.source}: {what}: not correlated')
@@ -142,8 +139,7 @@ def check_joint(group: Group) -> None:
 
 def _power_share(recording: Recording, velocity: Array, valid: Mask) -> float:
     """Return the mean power of the force, as a share of what in-phase signals would have."""
-    force = recording.force if recording.force is not None else recording.command
-    assert force is not None
+    force = recording.force if recording.force is not None else recording.input
     whole = (force + recording.taken.get('constant', 0.0))[valid]
     return float(np.mean(whole * velocity[valid])
                  / np.sqrt(np.mean(whole ** 2) * np.mean(velocity[valid] ** 2)))

@@ -136,8 +136,8 @@ def without_gravity(recordings: list[Recording], runs: Sequence[Run], found: ByP
         if run.position_m is None or r.motion is None or r.force is None or r.force_judged is None:
             raise InputError(f'{run.source}: without the position the gravity of the joint '
                              'cannot be subtracted')
-        angle = _angle(r, float(np.nanmean(run.signal('position'))))
-        torque = (found.sine * np.sin(angle) + found.cosine * np.cos(angle))[inner_samples(r)]
+        angle = r.motion.position + float(np.nanmean(run.signal('position')))
+        torque = (found.sine * np.sin(angle) + found.cosine * np.cos(angle))[r.motion.inner]
         taken.append(replace(r, force=r.force - torque,
                              force_judged=r.force_judged - judged(torque, r.motion),
                              taken={'gravity_sine': found.sine,
@@ -165,18 +165,6 @@ def from_one_origin(recordings: Sequence[Recording], runs: Sequence[Run], stiffn
             for more in [stiffness * (middle - middles[0])]]
 
 
-def inner_samples(recording: Recording) -> slice:
-    """Return the samples of a recording within those of its motion."""
-    assert recording.motion is not None
-    return slice(recording.motion.pad, recording.motion.pad + recording.fit.size)
-
-
-def _angle(recording: Recording, middle: float) -> Array:
-    """Return the measured position (rad), smoothed; middle: of its motion, the origin since."""
-    assert recording.motion is not None
-    return recording.motion.position + middle
-
-
 @jit
 def _slip(position: Array, reach: float) -> Array:
     """Return the deflection (-1 to 1) of a Maxwell slip element that slides after a reach."""
@@ -194,9 +182,9 @@ def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
     The rate of the force stands for a short delay or lag, which would otherwise bias gravity.
     rattling: position and damping are those of the load behind that backlash.
     """
-    motion, inner, force = recording.motion, inner_samples(recording), recording.force_judged
-    assert motion is not None and force is not None
-    angle = _angle(recording, float(np.nanmean(run.signal('position'))))
+    motion, force = recording.moved, recording.force_judged
+    assert force is not None
+    angle = motion.position + float(np.nanmean(run.signal('position')))
     speed, usual = motion.velocity, float(motion.velocity.std()) + 1e-30
     behind = {}
     if rattling is not None:
@@ -204,7 +192,7 @@ def _shapes(recording: Recording, run: Run, turns: bool, stiffness: float,
         angle = angle + load - motion.position
         behind = {'inertia_behind': np.gradient(speed, recording.period_s)}
     slips = [_slip(angle, share * float(np.ptp(angle)) + 1e-30) for share in SLIP_RANGES]
-    shapes = {name: judged(each[inner], motion) for name, each in {
+    shapes = {name: judged(each[motion.inner], motion) for name, each in {
         'inertia': motion.acceleration, **behind, 'damping': speed,
         'friction': np.tanh(speed / (CREEP * usual)),
         **{f'friction_{n}': each for n, each in enumerate(slips)},

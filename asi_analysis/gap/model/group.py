@@ -360,15 +360,14 @@ def with_lower_noise(group: Group, residual: Values) -> Group:
 
 def _noise(recording: Recording, channel: str, p: np.void) -> float:
     """Return the standard deviation of a channel's noise, with that of the measured inputs."""
-    noise, motion = recording.noise, recording.motion
+    noise = recording.noise
     if channel == 'valve':
         return noise['valve_position']
     if channel in MOTIONS:
         return noise[channel]
     share = 1.0
     if channel == 'load':
-        assert motion is not None
-        share = math.sqrt(float(np.mean(motion.judge ** 2)))
+        share = math.sqrt(float(np.mean(recording.moved.judge ** 2)))
     return math.hypot(share * noise['force'], math.sqrt(propagated_noise(recording, channel, p)))
 
 

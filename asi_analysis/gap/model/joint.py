@@ -31,7 +31,6 @@ from asi_analysis.gap.model.effects import (
 from asi_analysis.gap.model.gravity import (
     by_position,
     from_one_origin,
-    inner_samples,
     turns_measured,
     without_bias,
     without_gravity,
@@ -204,7 +203,7 @@ def _not_identifiable(recordings: Sequence[Recording], runs: Sequence[Run]) -> l
     notes = []
     if any(run.position_m is None for run in runs):
         notes.append('without the position neither gravity nor a spring is looked for')
-    ways = [np.sign(np.quantile(r.motion.velocity[inner_samples(r)], [ONE_WAY, 1.0 - ONE_WAY]))
+    ways = [np.sign(np.quantile(r.motion.velocity[r.motion.inner], [ONE_WAY, 1.0 - ONE_WAY]))
             for r in recordings if r.motion is not None]
     if ways and (np.all(np.array(ways) > 0.0) or np.all(np.array(ways) < 0.0)):
         notes.append('the joint moves one way only: its friction cannot be distinguished from a '
@@ -220,9 +219,9 @@ def _without_hidden_compliance(group: Group) -> Group:
     """
     mass = float(group.nominal['load_mass'])
     for recording in group.recordings:
-        motion, force = recording.motion, recording.force_judged
-        assert motion is not None and force is not None
-        moved = np.gradient(motion.velocity[inner_samples(recording)], recording.period_s)
+        motion, force = recording.moved, recording.force_judged
+        assert force is not None
+        moved = np.gradient(motion.velocity[motion.inner], recording.period_s)
         if mass * float(moved.std()) > QUASI_STATIC * float(force.std()):
             return group
     return replace(group, effects={name: forms for name, forms in group.effects.items()
@@ -248,8 +247,7 @@ def _identified_servo(recordings: Sequence[Recording], hidden: bool
         steps = placed_by(second_order(stepped), decimated, steps)
         stepped = in_steps(decimated, steps)
         slow = slow_servo(stepped)
-    moved = float(np.std(np.concatenate([r.valve_position for r in decimated
-                                         if r.valve_position is not None])))
+    moved = float(np.std(np.concatenate([r.output for r in decimated])))
     error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
     return [hidden_servo(slow)] if hidden else servo_of(stepped, slow), steps, error
 
@@ -296,8 +294,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
                        effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
                        floor_by_best=not proportional)
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
-        [r.command - r.valve_position for r in recordings
-         if r.command is not None and r.valve_position is not None])))
+        [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
 
 
@@ -321,9 +318,8 @@ def _near(free: Free, servos: Sequence[Servo]) -> Free:
 
 def _gain(recordings: Sequence[Recording]) -> float:
     """Return the gain from command to force, by least squares."""
-    command = np.concatenate([r.command[r.fit] for r in recordings if r.command is not None])
-    force = np.concatenate([r.valve_position[r.fit] for r in recordings
-                            if r.valve_position is not None])
+    command = np.concatenate([r.input[r.fit] for r in recordings])
+    force = np.concatenate([r.output[r.fit] for r in recordings])
     return float(command @ force / (command @ command))
 
 
@@ -369,7 +365,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     # A held command has a mean delay of half a sample, and its time stamp may be off by as much;
     # a force may be sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
-    travel = max(float(np.ptp(r.motion.position[inner_samples(r)]))
+    travel = max(float(np.ptp(r.motion.position[r.motion.inner]))
                  for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
                             rattling_in(rattles))
@@ -447,7 +443,7 @@ def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
         if motion is None or force is None:
             raise InputError(f'{recording.source}: a joint that is driven by a force needs its '
                              'force (or command) and its position or velocity')
-        count, inner = motion.velocity.size, inner_samples(recording)
+        count, inner = motion.velocity.size, motion.inner
         columns: list[Array] = [
             np.fft.irfft(motion.velocity_spectrum * factor * motion.judge, count)[inner]
             for factor in (1j * motion.omega, 1.0)]

@@ -15,9 +15,8 @@ from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
 from asi_analysis.gap.model.servo import SUB_STEP
 from asi_analysis.gap.motion import Motion, judged
-from asi_analysis.gap.prepare import Recording
+from asi_analysis.gap.prepare import Recording, velocity_of
 from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by
-from asi_analysis.parallel import cores
 from asi_common.jit import FULL
 from asi_common.parameter import Value, completed
 from asi_common.record import copy_of, with_fields
@@ -30,7 +29,7 @@ HYSTERESIS_STEP_S = 2e-4  # of the full hysteresis, whose width depends on the c
 TRAVEL_STEP_S = 1e-4      # of the simulated load: hydraulic damping acts after 0.16 ms
 CONTACT_STEP_S = 1e-4     # of a load with contacts
 RATTLING_STEP_S = 2.5e-4  # of a load whose contacts last
-# Fields that the cached parts of a prediction depend on, and the number of cached parts.
+# Fields that the cached parts of a prediction depend on.
 FRICTION_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('friction_', 'viscous')))
 STEADY_FORCE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or () if name.startswith((
@@ -38,7 +37,6 @@ STEADY_FORCE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or () if n
     'orifice_', 'force_limit', 'corner')))
 VALVE_FIELDS = tuple(name for name in blocks.PLANT_DTYPE.names or ()
               if name.startswith(('valve_', 'command_', 'loop_', 'corner')))
-CACHE_SIZE = 6 * cores()   # one fit on each core
 
 
 def plant_record(nominal: Mapping[str, Value]) -> np.void:
@@ -85,7 +83,7 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     # Of the smoothed motion, if there is one: differentiation amplifies noise.
     motion = recording.motion
     acceleration = (np.gradient(velocity, recording.period_s) if motion is None else
-                    motion.acceleration[motion.pad:motion.pad + out.size])
+                    motion.acceleration[motion.inner])
     blocks.force(steady_force, friction, acceleration, *blocks.parts(p), recording.period_s,
                  count, out)
     return out
@@ -124,8 +122,7 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
     if channel in ('valve', 'static') or simulator.of_simulator(p):
         return 0.0
     if channel == 'load':
-        motion = recording.motion
-        assert motion is not None
+        motion = recording.moved
         omega = np.maximum(motion.omega, motion.omega[1])
         one, none = np.ones_like(omega), np.zeros_like(omega)
         moved = _linear(omega, one, one / (1j * omega), none, p) * _reading(
@@ -138,14 +135,13 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
             recording.fit.size, recording.colour.get('valve_position', ()), rng)
         name = 'valve_position' if recording.valve_estimate is None else 'valve_estimate'
         noisy[name] = getattr(recording, name) + noise
-    motion = recording.motion
-    if motion is not None:
+    if recording.motion is not None:
+        motion = recording.motion
         shaken = np.fft.rfft(rng.standard_normal(motion.velocity.size)) * np.sqrt(motion.noise)
-        inner = slice(motion.pad, motion.pad + recording.fit.size)
         smoothed = shaken * motion.smooth
         if recording.velocity is not None:
             noisy['velocity'] = recording.velocity + np.fft.irfft(
-                shaken, motion.velocity.size)[inner]
+                shaken, motion.velocity.size)[motion.inner]
         noisy['motion'] = replace(
             motion, velocity=motion.velocity + np.fft.irfft(smoothed, motion.velocity.size),
             acceleration=motion.acceleration + np.fft.irfft(1j * motion.omega * smoothed,
@@ -157,22 +153,14 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
 
 
 def _cached(recording: Recording, fields: tuple[str, ...], p: np.void,
-          signals: tuple[Array, ...], make: Callable[[], Array]) -> Array:
+            signals: tuple[Array, ...], make: Callable[[], Array]) -> Array:
     """
     Return a part of a prediction, from the cache if nothing that it depends on has changed.
 
     A finite difference changes one parameter, which acts on one part only.
     """
-    key = (fields[0], *(float(p[name]) for name in fields),
-           *(hash(signal.tobytes()) for signal in signals))
-    cache = recording.cache   # several threads use it: each step is atomic
-    part = cache.pop(key, None)
-    if part is None:
-        part = make()
-    cache[key] = part   # the latest last
-    for old in list(cache)[:-CACHE_SIZE]:
-        cache.pop(old, None)
-    return part
+    return recording.cached(fields[0], (*(float(p[name]) for name in fields),
+                                        *(hash(signal.tobytes()) for signal in signals)), make)
 
 
 def _at_sub_steps(part: Callable[..., None], recording: Recording, p: np.void,
@@ -206,11 +194,8 @@ def _valve(recording: Recording, p: np.void) -> Array:
 
 def _velocity(recording: Recording, p: np.void, position: Array) -> Array:
     """Return the velocity (m/s) of the piston; simulated with the nominal load if not measured."""
-    if recording.velocity is not None:
-        return recording.velocity
-    motion = recording.motion
-    if motion is not None:
-        return motion.velocity[motion.pad:motion.pad + recording.fit.size]
+    if (moved := velocity_of(recording)) is not None:
+        return moved
     _, damping, stiffness = blocks.load_constants(p)
     out = np.zeros(recording.fit.size)
     if p['load_mass'] > 0.0 and int(p['load_type']) != PRESCRIBED:
@@ -249,8 +234,7 @@ def _load(recording: Recording, p: np.void) -> Array:
         if p['compliance'] > 0.0:   # the weight is beyond it
             passed *= blocks.transmitted(motion.omega, p, slope)
     total = motion.judge * ((linear + _spectrum(extra) + passed) * reading - _spectrum(taken))
-    count = recording.fit.size
-    inner = np.fft.irfft(total, extra.size)[motion.pad:motion.pad + count]
+    inner = np.fft.irfft(total, extra.size)[motion.inner]
     if p['compliance'] > 0.0 and (p['swing_cosine'] != 0.0 or p['swing_sine'] != 0.0):
         inner = inner + judged(blocks.swing(recording.time_s, p, slope), motion)
     if not motion.measured:   # the offset is outside the band
@@ -262,8 +246,7 @@ def _load(recording: Recording, p: np.void) -> Array:
 
 def _motion(recording: Recording, p: np.void) -> Motion:
     """Return the motion of a load, of which a sensor may read another multiple."""
-    motion = recording.motion
-    assert motion is not None
+    motion = recording.moved
     if (error := float(p['position_gain_error'])) == 0.0:
         return motion
     return replace(motion, **{name: getattr(motion, name) / (1.0 + error) for name in (
@@ -287,8 +270,7 @@ def _weight(recording: Recording, p: np.void) -> tuple[Array, Array, float]:
 
     The first two along the motion, N m; the slope by the angle at the middle of it, N m/rad.
     """
-    motion, taken = recording.motion, recording.taken
-    assert motion is not None
+    motion, taken = recording.moved, recording.taken
     before = [taken.get(f'gravity_{part}', 0.0) for part in ('sine', 'cosine')]
     now = [own + float(p[f'gravity_{part}']) for own, part in zip(before, ('sine', 'cosine'),
                                                                   strict=True)]

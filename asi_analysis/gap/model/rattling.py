@@ -98,10 +98,9 @@ class _Force:
 
     def __init__(self, recording: Recording, late: float) -> None:
         """Late: the delay of the force behind its record, s."""
-        assert recording.motion is not None and recording.force_judged is not None
-        self.recording, self.motion = recording, recording.motion
+        assert recording.force_judged is not None
+        self.recording, self.motion = recording, recording.moved
         motion = self.motion
-        self.inner = slice(motion.pad, motion.pad + recording.fit.size)
         self.scale = float(np.quantile(np.abs(motion.position), 0.999))
         omega = 2.0 * np.pi * np.fft.rfftfreq(recording.fit.size, recording.period_s)
         self.force = np.fft.irfft(np.fft.rfft(recording.force_judged)
@@ -109,12 +108,13 @@ class _Force:
         usual = float(motion.velocity.std()) + 1e-30
         self.own = np.array([
             self._judged(1j * motion.omega * motion.velocity_spectrum),
-            judged(np.tanh(motion.velocity[self.inner] / (CREEP * usual)), motion),
+            judged(np.tanh(motion.velocity[motion.inner] / (CREEP * usual)), motion),
             np.ones(recording.fit.size)])
         self.power = float(np.var(self.force[recording.held_out]))
 
     def _judged(self, spectrum: blocks.Complex) -> Array:
-        return np.fft.irfft(spectrum * self.motion.judge, self.motion.velocity.size)[self.inner]
+        motion = self.motion
+        return np.fft.irfft(spectrum * motion.judge, motion.velocity.size)[motion.inner]
 
     def rigid(self) -> _Trial:
         """Return the fit without backlash."""

@@ -113,7 +113,7 @@ def left_of(servo: Servo, recordings: Sequence[Recording], part: str) -> Array:
 
 def left_by(responses: Sequence[Array], recordings: Sequence[Recording], part: str) -> Array:
     """Return the residual of responses, with a gain near 1 and an offset from the fitted parts."""
-    outputs = [r.valve_position for r in recordings if r.valve_position is not None]
+    outputs = [r.output for r in recordings]
     x, y = (np.concatenate([each[r.fit] for each, r in zip(signals, recordings, strict=True)])
             for signals in (responses, outputs))
     power = float(np.var(x))
@@ -200,8 +200,8 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     recordings about as well. slow: the fit of that.
     """
     recordings = thinned(recordings)
-    left = [left_by([r.command for r in recordings if r.command is not None], recordings,
-                    'held_out'), left_of(slow, recordings, 'held_out')]
+    left = [left_by([r.input for r in recordings], recordings, 'held_out'),
+            left_of(slow, recordings, 'held_out')]
     simple = min(float(np.mean(each ** 2)) for each in left)
     delayed = second_order(recordings)
     one_pole = _lagging(delayed, recordings)
@@ -272,17 +272,14 @@ def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[R
 
 def _thinned(r: Recording, every: int) -> Recording:
     """Return a recording with every `every`-th sample of what a servo is fitted to."""
-    assert r.command is not None and r.valve_position is not None
-    return replace(r, period_s=every * r.period_s, command=r.command[::every],
-                   valve_position=r.valve_position[::every], fit=r.fit[::every],
+    return replace(r, period_s=every * r.period_s, command=r.input[::every],
+                   valve_position=r.output[::every], fit=r.fit[::every],
                    held_out=r.held_out[::every])
 
 
 def response_of(servo: Servo, recording: Recording) -> Array:
     """Return the response of a servo to the command, from the measured initial value."""
-    assert recording.command is not None and recording.valve_position is not None
-    return follow(servo, recording.command, float(recording.valve_position[0]),
-                  recording.period_s)
+    return follow(servo, recording.input, float(recording.output[0]), recording.period_s)
 
 
 def with_servo(recordings: list[Recording], unit: str, servo: Servo | None

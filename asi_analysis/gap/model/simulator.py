@@ -8,8 +8,7 @@ simulated open loop from the initial state: the output-error form of the predict
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -39,7 +38,6 @@ from asi_analysis.gap.motion import extended
 from asi_analysis.gap.parts import BURN_IN_S
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import noise_spectrum
-from asi_analysis.parallel import cores
 from asi_common.jit import OFF, jit
 from asi_common.parameter import Value
 from asi_common.record import copy_of, with_fields
@@ -58,8 +56,6 @@ GAIN_FIELDS = tuple(f'valve_characteristic_{name}' for name in (
 # Where those fields are in a record on which the deflection of the valve, in N, depends.
 VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS
                     if name not in (*GAIN_FIELDS, 'valve_flexure_travel_limit'))
-# The most predictions that are cached, of each kind (at least one for each thread), and bytes.
-CACHE_SIZE, CACHE_BYTES = 2 + cores(), 2 ** 28
 # Fields of the delays of the command.
 DELAYS = ('command_path_delay', 'valve_flexure_delay')
 # Fields of the errors of the valve's fit, and their largest size, standard deviations.
@@ -121,19 +117,6 @@ def of_simulator(p: np.void) -> bool:
     return 'loop_width' not in (p.dtype.names or ())
 
 
-def _cached(recording: Recording, kind: str, key: bytes, make: Callable[[], Array]) -> Array:
-    """Return a prediction from the recording's cache, or made and kept there."""
-    cached = recording.cache.setdefault(kind, {})   # several threads use it
-    made = cached.get(key)
-    if made is None:
-        made = make()
-        while cached and (len(cached) >= CACHE_SIZE or len(cached) * made.nbytes > CACHE_BYTES):
-            with suppress(KeyError, RuntimeError):
-                del cached[next(iter(cached))]
-        cached[key] = made
-    return made
-
-
 def simulated_valve(recording: Recording, p: np.void) -> Array:
     """Return the valve position (m, n samples) simulated from the recorded command."""
     return metres_per_newton(p) * _deflection(recording, p)[:-1, -1]
@@ -168,7 +151,8 @@ def _deflection(recording: Recording, p: np.void) -> Array:
 
     whole = p.tobytes()
     key = b''.join(whole[k:k + 8] for k in VALVE_BYTES)
-    return _cached(recording, 'valve', key + travel_limit.tobytes() + flux_key(recording, p), run)
+    return recording.cached(
+        'valve', key + travel_limit.tobytes() + flux_key(recording, p), run)
 
 
 def estimated_valve(recording: Recording, p: np.void) -> Array | None:
@@ -186,8 +170,7 @@ def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, flo
     power of the noise, the prediction is kept. The error is the noise that passes the filter, and
     the part of the prediction's error that does not.
     """
-    assert recording.valve_position is not None
-    missed = recording.valve_position - predicted
+    missed = recording.output - predicted
     if not recording.at_rest:   # the response to commands before the recording
         missed[:int(BURN_IN_S / recording.period_s)] = 0.0
     frequency, power = welch(missed, nperseg=min(missed.size // 16, 256), detrend=False)
@@ -214,7 +197,7 @@ def simulated_motion(recording: Recording, p: np.void) -> Array:
         _follow(state, deflection[1:], unit, error, actuator_of(p), recording.period_s, out)
         return out
 
-    return _cached(recording, 'motion', actuator_of(p).tobytes() + state_key(p), run)
+    return recording.cached('motion', actuator_of(p).tobytes() + state_key(p), run)
 
 
 def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]]:
@@ -310,10 +293,9 @@ def _mean_position_error(recording: Recording, position: Array, p: np.void) -> f
     motion = recording.motion
     if motion is None or not motion.measured or load_spring(actuator_of(p))[0] == 0.0:
         return 0.0
-    inner = slice(motion.pad, motion.pad + position.size)
-    real, valid = motion.position[inner], recording.valid
-    sizes = recording.once('sizes', lambda: (
-        float(np.std(motion.velocity[inner])), float(np.std(real))))
+    velocity, real = motion.velocity[motion.inner], motion.position[motion.inner]
+    valid = recording.valid
+    sizes = recording.cached('sizes', (), lambda: np.array([velocity.std(), real.std()])).tolist()
     errors = [math.hypot(recording.noise.get(name, 0.0), POSITION_ERROR * size)
               for name, size in zip(('velocity', 'position'), sizes, strict=True)]
     off = float(np.mean((position - real)[valid])) / math.sqrt(valid.sum())
@@ -327,12 +309,12 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     The force that moves the load by the difference of simulated and measured velocity, minus the
     difference of the forces; in the band in which motion and force are compared.
     """
-    motion = recording.motion
-    assert motion is not None and recording.force is not None
+    motion = recording.moved
+    assert recording.force is not None
     force, velocity, _ = simulated_motion(recording, p)
     stiffness, damping = load_spring(actuator_of(p))
-    inner = slice(motion.pad, motion.pad + velocity.size)
-    measured = motion.velocity[inner] if recording.raw_velocity is None else recording.raw_velocity
+    raw = recording.raw_velocity
+    measured = motion.velocity[motion.inner] if raw is None else raw
 
     def spectrum(values: Array) -> Any:
         return np.fft.rfft(extended(values, motion.pad, 'even'))
@@ -341,7 +323,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
     needed = (mass * s + damping + stiffness / s) * spectrum(velocity - measured)
     total = motion.judge * (needed - spectrum(force - recording.force))
-    return np.fft.irfft(total, velocity.size + 2 * motion.pad)[inner]
+    return np.fft.irfft(total, velocity.size + 2 * motion.pad)[motion.inner]
 
 
 def valve_response(recording: Recording, p: np.void, samples: int, count: int) -> Any:

@@ -128,9 +128,9 @@ def state_at_start(recording: Recording, p: np.void, valve: Array) -> np.void:
                                        + _fitted(recording, p, SUPPLY), 0.0), 1.0)
     motion = recording.motion
     if motion is not None:
-        position, velocity = recording.once('first', lambda: [
+        position, velocity = recording.cached('first', (), lambda: np.array([
             _first(each[motion.pad:], recording.period_s)
-            for each in (motion.position, motion.velocity)])
+            for each in (motion.position, motion.velocity)]))
         state['position'] = position * motion.measured + _fitted(recording, p, POSITION)
         state['velocity'] = velocity + _fitted(recording, p, VELOCITY)
     state['load_position'], state['load_velocity'] = state['position'], state['velocity']

@@ -308,8 +308,8 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
     if healthy:
         raise InputError('--baseline takes --plant actuator or joint')
     recordings = static_recordings(runs, held_out, *static_signals(runs[0]))
-    x, y = (np.concatenate([getattr(r, name) for r in recordings])
-            for name in ('command', 'valve_position'))
+    x = np.concatenate([r.input for r in recordings])
+    y = np.concatenate([r.output for r in recordings])
     scale = scales(recordings)
     slope, shift = float(np.polyfit(x, y, 1)[0]), 0.0
     middle = recordings[0].taken
@@ -342,16 +342,15 @@ def static_group(runs: Sequence[Run], known: Mapping[str, Value], tolerance: flo
     floor = noise ** 2 + (MODEL_ERROR * size) ** 2
     return Group(p, recordings, (CHANNEL,), tuple(nuisance), scale, {CHANNEL: noise},
                  {CHANNEL: floor}, {CHANNEL: 0.0}, freed(effects, partial(in_each, count=count)),
-                 floor_measured=any(cycle(r.command) for r in recordings
-                                    if r.command is not None),
+                 floor_measured=any(cycle(r.input) for r in recordings),
                  passes=max(sum(len(passes(r)) for r in recordings), 1)
                  ), notes_of(runs, recordings)
 
 
 def _with_initial_guesses(recordings: Sequence[Recording]) -> Effects:
     """Return the effects, with initial guesses of dead band and two slopes by a coarse search."""
-    x, y = (np.concatenate([getattr(r, name)[r.known] for r in recordings])
-            for name in ('command', 'valve_position'))
+    x = np.concatenate([r.input[r.known] for r in recordings])
+    y = np.concatenate([r.output[r.known] for r in recordings])
     every = max(x.size // SEARCHED, 1)
     x, y = x[::every], y[::every]
     reach = float(np.abs(x).max())
@@ -390,9 +389,8 @@ def like(group: Group, run: Run) -> Recording:
     """Return another recording of the same device, ready, with the origins of a group."""
     found = static_recordings([run], [False], *static_signals(run))[0]
     here, there = found.taken, group.recordings[0].taken
-    assert found.command is not None and found.valve_position is not None
-    return replace(found, taken=there, command=found.command + here['input'] - there['input'],
-                   valve_position=found.valve_position + here['output'] - there['output'])
+    return replace(found, taken=there, command=found.input + here['input'] - there['input'],
+                   valve_position=found.output + here['output'] - there['output'])
 
 
 def zero_of(group: Group, field: str) -> float:
@@ -429,7 +427,7 @@ def notes_of(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[str]:
     if max(len(passes(r)) for r in recordings) < 2:
         notes.append('the input never comes back: hysteresis does not show, and a drift looks '
                      'like another gain; go up and down at least twice')
-    elif not any(cycle(r.command) for r in recordings if r.command is not None):
+    elif not any(cycle(r.input) for r in recordings):
         notes.append('the input does not repeat: noise that is not white cannot be distinguished '
                      'from an unknown effect; repeat the same cycle')
     return notes

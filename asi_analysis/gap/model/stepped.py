@@ -44,8 +44,7 @@ class Steps(NamedTuple):
 
 def in_steps(recordings: Sequence[Recording], steps: Steps | None) -> list[Recording]:
     """Return recordings with a quantised command."""
-    return [r if steps is None or r.command is None else replace(r, command=steps.of(r.command))
-            for r in recordings]
+    return [replace(r, command=steps.of(r.input)) for r in recordings] if steps else [*recordings]
 
 
 def steps_of(recordings: Sequence[Recording], slow: Servo) -> Steps | None:
@@ -55,8 +54,7 @@ def steps_of(recordings: Sequence[Recording], slow: Servo) -> Steps | None:
     slow: a delay and a lag, fitted without quantisation.
     """
     fitted = [r for r in recordings if r.fit.any()]
-    power = max(float(np.var(r.valve_position[r.known])) for r in fitted
-                if r.valve_position is not None)
+    power = max(float(np.var(r.output[r.known])) for r in fitted)
 
     def left(servo: Servo, steps: Steps | None, part: str = 'fit') -> float:
         return float(np.mean(left_of(servo, in_steps(recordings, steps), part) ** 2))
@@ -85,7 +83,7 @@ def placed_by(servo: Servo, recordings: Sequence[Recording], steps: Steps) -> St
 
 def _reference(recordings: Sequence[Recording]) -> Array:
     """Return the references of all recordings, one after the other."""
-    return np.concatenate([r.command for r in recordings if r.command is not None])
+    return np.concatenate([r.input for r in recordings])
 
 
 def _refined(steps: Steps, reference: Array, reaches: Sequence[float],
@@ -108,10 +106,9 @@ def _moved(steps: Steps, reference: Array, more: float, later: float) -> Steps:
 def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
     """Return candidates for the quantisation: the best of a grid, by the residual of a servo."""
     r = thinned([recording], GUESS_SAMPLES)[0]
-    reference = r.command
-    assert reference is not None and r.valve_position is not None
+    reference = r.input
     size, span = reference.size, float(np.ptp(reference))
-    error = r.valve_position - response_of(servo, r)
+    error = r.output - response_of(servo, r)
     one = np.ones(size)
     one[0] = 0.0
     jump = replace(r, command=one, valve_position=np.zeros(size))

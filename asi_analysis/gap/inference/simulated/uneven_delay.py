@@ -216,8 +216,7 @@ def _arriving(recording: Recording, p: np.void, width: float) -> tuple[Array, Ar
 
     Mean, less what arrives after the mean delay: (CUTS, n); covariance: (CUTS, CUTS, n).
     """
-    assert recording.command is not None
-    command = np.clip(recording.command, -p['command_limit'], p['command_limit'])
+    command = np.clip(recording.input, -p['command_limit'], p['command_limit'])
     delay = sum(float(p[name]) for name in DELAYS)
     width = min(width, float(p[COMMAND]))
     at = np.arange(command.size) + (np.arange(CUTS)[:, None, None] + 0.5) / CUTS
