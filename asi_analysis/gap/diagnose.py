@@ -34,9 +34,8 @@ from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
-from asi_analysis.gap.inference.hidden_load import with_hidden_load
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, join, weigh_groups
-from asi_analysis.gap.inference.lower_band import with_lower_band
+from asi_analysis.gap.inference.other_extent import with_hidden_load, with_lower_band
 from asi_analysis.gap.inference.probability import (
     Names,
     ambiguity_set,
@@ -99,6 +98,10 @@ class Diagnosis:
     healthy: 'Diagnosis | None' = None
     machine: Mapping[tuple[str, ...], Healthy] = field(default_factory=dict)
     extent: Extent = WHOLE         # of a joint
+
+    def compared(self, channel: str) -> Weighed:
+        """Return the group that holds a channel."""
+        return next(each for each in self.groups if channel in each.group.channels)
 
     def best(self, weighed: Weighed) -> Candidate:
         """Return the hypothesis of a group that agrees with the verdict, but for `unknown`."""
@@ -340,7 +343,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if [w.group.channels for w in weighed] == [('valve',), ('force', 'load')] and not (
             of_simulator(weighed[0].group.nominal)):
         # With refitted parameters, since a difference within their tolerance is not a gap.
-        chain = localisation.along_the_chain(groups[0], groups[1], *(
+        chain = localisation.along_the_chain(groups[0].recordings[0], *(
             w.candidates[()].fitted.record for w in weighed))
     return replace(answer, shrinks=shrinks, next_experiment=experiment, chain=chain)
 
@@ -408,7 +411,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
         'shrink': shrink.shrink, 'shrink_low': shrink.low, 'shrink_high': shrink.high,
         'edge_hz': shrink.edge_hz}
         for shrink in diagnosis.shrinks}
-    weighed = next(w for w in diagnosis.groups if main.channel in w.group.channels)
+    weighed = diagnosis.compared(main.channel)
     best = diagnosis.best(weighed).fitted.record
     regimes = localisation.by_regime(weighed.group, main.channel,
                                      weighed.candidates[()].fitted.record, best)

@@ -157,7 +157,7 @@ def velocity_of(recording: Recording) -> Array | None:
     return motion.velocity[motion.inner]
 
 
-def _origin(signals: Mapping[str, Array], period: float) -> float | None:
+def _origin(signals: Mapping[str, Array]) -> float | None:
     """
     Return the position (m) at which a piston starts at rest; None if it starts in motion.
 
@@ -216,7 +216,7 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
                    for name, values in signals.items()}
         period *= thinned
-    origin = _origin(signals, period) if drive == 'valve' else None
+    origin = _origin(signals) if drive == 'valve' else None
     if origin is not None:
         signals['position'] = signals['position'] - origin
     _with_centred_origin(signals, drive, run)

@@ -10,15 +10,13 @@ from asi_analysis.bags.exchange.joints import folder_name
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer.joint_files import (
     JOINT,
-    isaac_of,
+    isaac,
     mjcf,
-    mjcf_of,
     unsaid_in_isaac,
     unsaid_in_urdf,
-    urdf_of,
+    urdf,
 )
-from asi_analysis.gap.answer.joint_model import JointModel, joint_model
-from asi_analysis.gap.answer.joint_parameters import node_parameters
+from asi_analysis.gap.answer.joint_model import JointModel, joint_model, node_parameters
 from asi_analysis.gap.answer.replay import replay_error
 from asi_analysis.gap.diagnose import Diagnosis
 from asi_analysis.gap.model.model_file import improved_model
@@ -128,13 +126,12 @@ def write_joints(found: Mapping[str, Exported], path: Path, sources: list[str]
         texts = [_section(name, each, origin) for name, each in found.items()]
         write_text(path, '\n'.join(texts))
     elif kind == 'URDF':
-        write_text(path, urdf_of(models, origin))
+        write_text(path, urdf(models, origin))
         unsaid = {name: each + unsaid_in_urdf(models[name]) for name, each in unsaid.items()}
     elif kind == 'MJCF':
-        write_text(path, mjcf(models[JOINT], origin) if len(models) == 1 and JOINT in models
-                   else mjcf_of(models, origin))
+        write_text(path, mjcf(models, origin))
     else:
-        write_text(path, isaac_of(models, origin))
+        write_text(path, isaac(models, origin))
         unsaid = {name: each + unsaid_in_isaac(models[name]) for name, each in unsaid.items()}
     return _row(path, kind, [text if name == JOINT else f'{name}: {text}'
                              for name, texts in unsaid.items() for text in texts])
@@ -157,7 +154,8 @@ def _replayed(diagnosis: Diagnosis, found: JointModel) -> dict[str, Any]:
     nominal = joint_model(diagnosis, nominal=True)
     row: dict[str, Any] = {'simulator': f'MuJoCo {mujoco.__version__}'}
     try:
-        errors = [replay_error(diagnosis, each, mjcf(each, '')) for each in (nominal, found)]
+        errors = [replay_error(diagnosis, each, mjcf({JOINT: each}, ''))
+                  for each in (nominal, found)]
     except ValueError as error:   # such as an attribute that an older version does not know
         warnings.warn(f'{row["simulator"]} does not load the export: {str(error).splitlines()[0]}',
                       InputWarning, stacklevel=2)

@@ -31,13 +31,12 @@ def steps(model: JointModel) -> int:
     return min(max(math.ceil(model.period_s / longest - 1e-9), 1), MOST_STEPS)
 
 
-def mjcf(model: JointModel, origin: str) -> str:
-    """Return a joint as a model of MuJoCo; origin: what it was found from."""
-    return mjcf_of({JOINT: model}, origin)
+def mjcf(models: Mapping[str, JointModel], origin: str) -> str:
+    """
+    Return joints by name as one model of MuJoCo, each with a link of its own in the world.
 
-
-def mjcf_of(models: Mapping[str, JointModel], origin: str) -> str:
-    """Return joints by name as one model of MuJoCo, each with a link of its own in the world."""
+    origin: what they were found from.
+    """
     step = min(model.period_s / steps(model) for model in models.values())
     root = ET.Element('mujoco', model='robot' if len(models) > 1 else JOINT)
     root.append(_comment([origin, *(
@@ -115,13 +114,12 @@ def _hints(model: JointModel) -> list[str]:
     return hints
 
 
-def urdf(model: JointModel, origin: str) -> str:
-    """Return a joint as a robot of two links; what URDF has no word for is in its comment."""
-    return urdf_of({JOINT: model}, origin)
+def urdf(models: Mapping[str, JointModel], origin: str) -> str:
+    """
+    Return joints by name as a robot, each with a link of its own on the base.
 
-
-def urdf_of(models: Mapping[str, JointModel], origin: str) -> str:
-    """Return joints by name as a robot, each with a link of its own on the base."""
+    What URDF has no word for is in a comment.
+    """
     root = ET.Element('robot', name='robot' if len(models) > 1 else JOINT)
     root.append(_comment([
         origin, *(line for name, model in models.items() for line in _named(name, [
@@ -157,7 +155,7 @@ def _add_urdf_joint(root: ET.Element, name: str, model: JointModel) -> None:
     ET.SubElement(joint, 'dynamics', damping=_text(model.damping), friction=_text(model.friction))
 
 
-def isaac_of(models: Mapping[str, JointModel], origin: str) -> str:
+def isaac(models: Mapping[str, JointModel], origin: str) -> str:
     """
     Return joints by name as the fields of Isaac Lab's `DelayedPDActuatorCfg`, in YAML.
 

@@ -1,11 +1,17 @@
-"""A joint as plain numbers, as a simulator takes them: `joint_model` of a diagnosis."""
+"""
+A joint as plain numbers, as a simulator takes them: `joint_model` of a diagnosis.
 
+And as parameters of the node that simulates it (`plant: joint`): `node_parameters`.
+"""
+
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
@@ -14,9 +20,14 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
 from asi_analysis.gap.model.group import RIGID_ERROR
+from asi_analysis.gap.model.model_file import (
+    coupling_parameters,
+    external_force,
+    friction_parameters,
+)
 from asi_analysis.gap.words import SIZES, between, digits, in_words, unit_of_free
 from asi_common.jit import FULL
-from asi_common.parameter import Value
+from asi_common.parameter import Value, defaults
 
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
 HELD: Final = {
@@ -26,6 +37,26 @@ HELD: Final = {
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
                         'valve_limit', 'valve_flexure_natural_frequency',
                         'valve_flexure_damping_ratio'))}
+# Fields that the parameters of a node hold.
+WRITTEN: Final = {
+    'load': HELD['load'] | {
+        'friction_breakaway', 'backlash', 'compliance', 'disturbance', 'disturbance_wave',
+        'disturbance_frequency', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
+        'sensor_offset', 'sensor_gain_error', 'sensor_lag', 'sensor_drift'},
+    'valve': HELD['valve'] | {'command_quantum', 'command_deadband'}}
+# Parameters of a node that are written even where they have the default.
+ALWAYS: Final = frozenset(('joint.type', 'load.mass', 'load.damping'))
+PARAMETERS: Final = frozenset(parameter.name for parameter in JOINT_PARAMETERS)
+# What is said of fields that are no sizes of effects.
+NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
+                'load_stiffness': 'stiffness',
+                'valve_flexure_natural_frequency': 'natural frequency',
+                'valve_flexure_damping_ratio': 'damping ratio',
+                'load_offset': 'constant load',
+                'valve_characteristic_gain': 'gain'}
+# Damping of what rubs, as a share of critical, before it slides: the fit has none, and the
+# simulated joint would ring.
+RUBBING_DAMPING: Final = 0.2
 # The nearest to an effect that a simulator's joint has no field for.
 NEAREST: Final = {'stiction': 'coulomb_friction', 'friction_asymmetry': 'coulomb_friction'}
 # A servo that follows at once: time of its response, as a share of delay and lag, or in samples.
@@ -162,6 +193,11 @@ def poles(p: np.void, field: str) -> tuple[float, float]:
     return time * (1.0 - split), time * split
 
 
+def _lags(p: np.void, field: str) -> dict[str, Value]:
+    """Return the two time constants of a lag, as parameters of a node's drive."""
+    return dict(zip(('drive.lag_time', 'drive.second_lag_time'), poles(p, field), strict=True))
+
+
 def _origin(run: Run) -> float:
     """Return the position from which the fit counts that of a recording."""
     return 0.0 if run.position_m is None else float(np.nanmean(run.position_m))
@@ -237,8 +273,7 @@ def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
         'load.mass': found.inertia, 'servo.kp': found.kp, 'servo.kv': found.kv or found.damping,
         'drive.gain': found.gain / found.kp, 'drive.bias': found.bias / found.kp,
         'command_path.delay': found.delay_s - poles(p, 'valve_lag')[1],
-        **dict(zip(('drive.lag_time', 'drive.second_lag_time'), poles(p, 'valve_lag'),
-                   strict=True))}
+        **_lags(p, 'valve_lag')}
     if p['valve_flexure_model'] != FULL and not taken:   # at once: the lag is the servo's own
         values |= {'command_path.delay': found.delay_s, 'drive.lag_time': found.lag_s,
                    'drive.second_lag_time': 0.0}
@@ -323,9 +358,72 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
     return found
 
 
-NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
-                'load_stiffness': 'stiffness',
-                'valve_flexure_natural_frequency': 'natural frequency',
-                'valve_flexure_damping_ratio': 'damping ratio',
-                'load_offset': 'constant load',
-                'valve_characteristic_gain': 'gain'}
+def node_parameters(diagnosis: Diagnosis, given: Mapping[str, Value]
+                    ) -> tuple[dict[str, Value], list[str], list[str]]:
+    """
+    Return the joint with what was found, as parameters by name; values in words; what is left out.
+
+    given: the nominal parameters, such as those of a servo in the metadata of the bag; what is
+    identified takes their place. Raises InputError for a joint that a node cannot simulate.
+    """
+    groups = {weighed.group.channels[0]: weighed for weighed in diagnosis.groups}
+    records = {channel: diagnosis.best(weighed).fitted.record
+               for channel, weighed in groups.items()}
+    run = diagnosis.runs[0]
+    values: dict[str, Value] = {'plant': 'joint', **{
+        name: value for name, value in given.items() if name in PARAMETERS}}
+    if 'load' in groups:
+        found = moved_by(groups['load'], records['load'], diagnosis.runs)
+        values |= _mechanics(found, records['load'], run.force_n is not None)
+        if 'valve' in records:
+            values |= _drive(records['valve'])
+    else:
+        values |= followed_law(groups['valve'], records['valve'], run)
+        if records['valve']['command_quantum'] > 0.0:
+            values['command_path.quantum'] = float(records['valve']['command_quantum'])
+    turns = run.unit('position' if run.position_m is not None else 'velocity').startswith('rad')
+    values['joint.type'] = 'revolute' if turns else 'prismatic'
+    if run.position_m is not None:
+        values['load.start'] = float(run.position_m[np.isfinite(run.position_m)][0])
+    said, unsaid = in_words_of(diagnosis, groups, WRITTEN)
+    null = {name: value for name, value in defaults(JOINT_PARAMETERS).items()
+            if name not in ALWAYS}
+    return {name: value for name, value in values.items()
+            if name not in null or value != null[name]}, said, unsaid
+
+
+def _mechanics(found: JointModel, p: np.void, force_measured: bool) -> dict[str, Value]:
+    """Return what moves, and between command and motion the drive if no force is measured."""
+    level = float(p['friction_level'])
+    values: dict[str, Value] = {
+        'load.mass': found.inertia, 'load.damping': float(p['load_damping']),
+        'friction.viscous': float(p['viscous']), 'load.stiffness': found.stiffness,
+        'load.rest': found.rest if found.stiffness else 0.0,
+        'gravity.sine': found.sine, 'gravity.cosine': found.cosine,
+        # Without the parts of it that have parameters of their own.
+        'load.offset': -found.bias + float(p['disturbance'])
+        - level * float(p['friction_asymmetry'])}
+    off = defaults(JOINT_PARAMETERS) | {'friction.model': 'off'}
+    values |= friction_parameters(p, off) | coupling_parameters(p) | external_force(p)
+    if stiffness := float(values.get('friction.presliding_stiffness', 0.0)):
+        values['friction.presliding_damping'] = RUBBING_DAMPING * math.sqrt(
+            stiffness * found.inertia)
+    if not force_measured:
+        values |= {'command_path.delay': max(found.delay_s - poles(p, 'drive_lag')[1], 0.0),
+                   'drive.gain': found.gain, **_lags(p, 'drive_lag')}
+    values |= {'force_sensor.offset': float(p['sensor_offset']),
+               'force_sensor.gain': 1.0 + float(p['sensor_gain_error']),
+               'force_sensor.lag_time': float(p['sensor_lag']),
+               'force_sensor.drift': float(p['sensor_drift']),
+               'force_sensor.drift_curve': float(p['sensor_drift_curve'])}
+    return {name: value for name, value in values.items() if name in PARAMETERS}
+
+
+def _drive(p: np.void) -> dict[str, Value]:
+    """Return the drive between a command and the measured force."""
+    gain = float(p['valve_characteristic_gain'])
+    return {'drive.gain': gain, 'drive.bias': gain * float(p['command_bias']),
+            'drive.deadband': float(p['command_deadband']),
+            'drive.force_limit': float(p['valve_limit']),
+            'command_path.quantum': float(p['command_quantum']),
+            'command_path.delay': float(p['command_delay']), **_lags(p, 'valve_lag')}

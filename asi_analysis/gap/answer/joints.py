@@ -179,7 +179,7 @@ def _diagnosed(runs: Sequence[Run], options: Mapping[str, Any], report: Path | N
 def _rests(gap: Gap) -> list[Rest]:
     """Return the residual of each recording, in the channel of the gap."""
     diagnosis, channel = gap.diagnosis, gap['gap']['channel']
-    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
+    weighed = diagnosis.compared(channel)
     record = diagnosis.best(weighed).fitted.record
     return [Rest(run.time_s[0] + recording.time_s, np.where(
                 recording.valid, measured(recording, channel)

@@ -77,7 +77,7 @@ def _characteristic(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
 
 def _overlay(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     channel, signal = answer['gap']['channel'], answer['gap']['signal']
-    weighed = next(w for w in diagnosis.groups if channel in w.group.channels)
+    weighed = diagnosis.compared(channel)
     number = len(weighed.group.recordings) - 1
     recording = weighed.group.recordings[number]
     real = measured(recording, channel)

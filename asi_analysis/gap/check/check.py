@@ -56,7 +56,7 @@ Row = dict[str, Any]
 def fresh_shrink(diagnosis: Diagnosis, run: Run) -> float:
     """Return the shrink of the gap on another recording of the same machine."""
     shrink = main_shrink(diagnosis)
-    weighed = next(w for w in diagnosis.groups if shrink.channel in w.group.channels)
+    weighed = diagnosis.compared(shrink.channel)
     group = weighed.group
     recording = like(group, run) if diagnosis.plant == 'static' else prepare([run])[0]
     valid, none = recording.valid, np.zeros_like(recording.fit)

@@ -183,15 +183,13 @@ def _load_velocity(recording: Recording, p: np.void) -> Array:
     return np.fft.irfft(velocity, force.size)
 
 
-def along_the_chain(valve: Group, force: Group, p_valve: np.void, p_force: np.void
-                    ) -> dict[str, float]:
+def along_the_chain(recording: Recording, p_valve: np.void, p_force: np.void) -> dict[str, float]:
     """
     Return the share of each part of the chain in the gap of the force.
 
     Shapley values over replacing measured valve position and velocity by simulated ones; what
     remains with both measured belongs to hydraulics and sensor.
     """
-    recording = valve.recordings[0]
     simulated = {'valve_position': predict(recording, 'valve', p_valve),
                  'velocity': _load_velocity(recording, p_force)}
     valid = recording.valid

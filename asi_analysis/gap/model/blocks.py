@@ -205,7 +205,7 @@ def valve(command, p, e, period, count, out):
             u += e.command_bias
             filtered = u + (filtered - u) * decay
             flux_before = flux
-            flux = widened(magnetised(fluxes, widths, u, filtered, p, e), further, u, filtered, p)
+            flux = widened(magnetised(fluxes, widths, u, filtered, p), further, u, filtered, p)
             slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
             drive = loop(plays, saturated(slow_flux, p), e)
             after = dead_zone(drive, e.command_deadband)
@@ -229,7 +229,7 @@ def valve(command, p, e, period, count, out):
 
 
 @jit
-def magnetised(fluxes, widths, command, filtered, p, e):
+def magnetised(fluxes, widths, command, filtered, p):
     """
     Return the flux (N) of the nominal hysteresis with free shape parameters; updates its plays.
 

@@ -9,6 +9,7 @@ It is the nominal model if its residual is far smaller than that of a delay with
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -160,10 +161,7 @@ def _best(recordings: Sequence[Recording], damping: float, free: Sequence[str]) 
     """Return the best fit of a servo, from initial guesses without and with a delay."""
     period = max(r.period_s for r in recordings)
     faster = 2.0 * LAG if damping == LAG else 1.0
-
-    def power(each: Servo) -> float:
-        return _power(each, recordings, 'fit')
-
+    power = partial(_power, recordings=recordings, part='fit')
     starts = [min((Servo(faster / (each * period), damping, delay=late * period)
                    for each in TIMES for late in lates), key=power)
               for lates in ((0.0,), (4.0, 20.0))]
@@ -200,15 +198,16 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     recordings about as well. slow: the fit of that.
     """
     recordings = thinned(recordings)
+    power = partial(_power, recordings=recordings)
     left = [left_by([r.input for r in recordings], recordings, 'held_out'),
             left_of(slow, recordings, 'held_out')]
     simple = min(float(np.mean(each ** 2)) for each in left)
     delayed = second_order(recordings)
     one_pole = _lagging(delayed, recordings)
     two_poles = _lagging(delayed, recordings, one_pole)
-    found = sorted((delayed, one_pole, two_poles), key=lambda each: _power(each, recordings))
+    found = sorted((delayed, one_pole, two_poles), key=power)
     limited = _limited(delayed, recordings)
-    if _power(limited, recordings) < LEFT_UNLIMITED * _power(found[0], recordings):
+    if power(limited) < LEFT_UNLIMITED * power(found[0]):
         found = [limited]
     residual = left_of(found[0], recordings, 'held_out')
     ratio = simple / (float(np.mean(residual ** 2)) + 1e-300)
@@ -223,9 +222,7 @@ def _limited(delayed: Servo, recordings: Sequence[Recording]) -> Servo:
     delayed: the fit of one without limits. Where a sample is long, the residual has a kink at each
     delay of whole samples, in which a fit stays: then each such delay is tried.
     """
-    def power(each: Servo) -> float:
-        return _power(each, recordings, 'fit')
-
+    power = partial(_power, recordings=recordings, part='fit')
     period = max(r.period_s for r in recordings)
     speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
                 for r in recordings)
@@ -251,10 +248,7 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
     """
     late = delayed.delay + 2.0 * delayed.damping / delayed.pulsation
     split = LAG_SPLIT if one_pole else 0.0
-
-    def power(each: Servo) -> float:
-        return _power(each, recordings, 'fit')
-
+    power = partial(_power, recordings=recordings, part='fit')
     starts = sorted((Servo(2.0 * damping / ((1.0 - share) * late), damping, lag=share * late,
                            split=split) for share in LAG_SHARES for damping in LAG_DAMPINGS),
                     key=power)[:FOLLOWED]
@@ -267,14 +261,9 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:
     """Return recordings with at most so many samples, to fit a servo to."""
     every = math.ceil(sum(r.fit.size for r in recordings) / most)
-    return [_thinned(r, every) for r in recordings]
-
-
-def _thinned(r: Recording, every: int) -> Recording:
-    """Return a recording with every `every`-th sample of what a servo is fitted to."""
-    return replace(r, period_s=every * r.period_s, command=r.input[::every],
-                   valve_position=r.output[::every], fit=r.fit[::every],
-                   held_out=r.held_out[::every])
+    return [replace(r, period_s=every * r.period_s, command=r.input[::every],
+                    valve_position=r.output[::every], fit=r.fit[::every],
+                    held_out=r.held_out[::every]) for r in recordings]
 
 
 def response_of(servo: Servo, recording: Recording) -> Array:

@@ -119,7 +119,7 @@ def test_friction_in_mujoco_is_coulomb_friction():
     """A joint that slides to rest, and stays there under less than its friction."""
     import mujoco
     stop = 0.5 * INERTIA / FRICTION     # rad, from 1 rad/s
-    file = mjcf(JointModel(True, INERTIA, friction=FRICTION, period_s=0.002), '')
+    file = mjcf({'joint': JointModel(True, INERTIA, friction=FRICTION, period_s=0.002)}, '')
     usual = file.replace('solreffriction', 'solreflimit').replace('solimpfriction', 'solimplimit')
     errors = []
     for text in (file, usual):

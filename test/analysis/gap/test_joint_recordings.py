@@ -9,7 +9,7 @@ from test_gap_joint import joint
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
-from asi_analysis.gap.answer.joint_files import isaac_of
+from asi_analysis.gap.answer.joint_files import isaac
 from asi_analysis.gap.answer.joint_model import JointModel, moved_by
 from asi_analysis.gap.inference.plausibility import check_joint
 from asi_analysis.gap.model.joint import drive_of, joint_groups
@@ -109,9 +109,9 @@ def test_a_force_of_another_motion_and_swapped_columns_are_refused():
 
 
 def test_the_armature_of_isaac_is_said_to_be_the_whole_inertia():
-    text = isaac_of({'knee': JointModel(True, 0.05, 0.1)}, 'made here')
+    text = isaac({'knee': JointModel(True, 0.05, 0.1)}, 'made here')
     assert 'armature is the whole inertia, less that of your link' in text
-    assert 'whole inertia' not in isaac_of({'slide': JointModel(False, 5.0, 1.0)}, 'made here')
+    assert 'whole inertia' not in isaac({'slide': JointModel(False, 5.0, 1.0)}, 'made here')
 
 
 @pytest.mark.filterwarnings('ignore')

@@ -10,6 +10,7 @@ sensor: generalised least squares (Ljung, System Identification, 2nd ed., 7.3).
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -53,10 +54,6 @@ class _Late(NamedTuple):
     cost: float
 
 
-def _cost(late: _Late) -> float:
-    return late.cost
-
-
 def with_uneven_delay(found: dict[Names, Found]) -> dict[Names, Found]:
     """
     Return hypotheses; where all leave more than noise, that of a delay with an uneven one instead.
@@ -75,13 +72,13 @@ def with_uneven_delay(found: dict[Names, Found]) -> dict[Names, Found]:
     delay = float(start.problem.record(start.best.theta)[COMMAND])
     if delay == 0.0:
         return found
-    fits = sorted((_fitted(start, share * delay) for share in WIDTHS), key=_cost)
+    fits = sorted((_fitted(start, share * delay) for share in WIDTHS), key=attrgetter('cost'))
     even = min(each.best.cost for each in found.values())
     if not fits[0].cost < even - COST_RANGE:
         return found
     # Refined with the parameters of a fit, a width may miss the best: hence of two fits.
     best = min(fits[0], *(_fitted(each.found, _refined_width(each)) for each in fits[:2]),
-               key=_cost)
+               key=attrgetter('cost'))
     explains = not best.found.may_lack_an_effect and _leaves_white_noise(best.found)
     return found | ({(EFFECT,): best.found} if explains else {})
 
