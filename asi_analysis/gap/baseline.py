@@ -17,6 +17,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.inference.fit import NOMINAL_FIELDS, Fitted, Problem, fit
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.posterior import Posterior, most_probable
+from asi_analysis.gap.inference.probability import with_moved
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import OF_A_RECORDING, UNKNOWN, Free, freed, of_recording
 from asi_analysis.gap.model.group import Group, Values
@@ -81,7 +82,7 @@ def _values(fitted: Fitted, over_floor: Values) -> dict[str, tuple[list[float], 
     measured_floor = replace(group, error_floor={
         channel: _measured_floor(level, group.noise[channel], over_floor[channel])
         for channel, level in group.error_floor.items()})
-    fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor, _key=b''))
+    fitted = fitted._replace(problem=replace(fitted.problem, group=measured_floor))
     known = likelihood(fitted)
     alone = [_fitted_alone(fitted, recording) for recording in group.recordings]
     found: dict[str, tuple[list[float], list[float]]] = {}
@@ -233,9 +234,7 @@ def changed_only(weighed: Weighed, healthy: Healthy) -> Weighed:
             continue
         for names in [names for names in chance if name in names]:
             rest = tuple(each for each in names if each != name)
-            rest = rest if rest in weighed.candidates else ()
-            chance[rest] = chance.get(rest, 0.0) + chance[names]
-            chance[names] = 0.0
+            chance = with_moved(chance, names, rest if rest in weighed.candidates else ())
     return weighed._replace(probability=chance)
 
 
@@ -246,11 +245,8 @@ def doubted(weighed: Weighed, healthy: Healthy, tolerance: float) -> tuple[Weigh
     tolerance: as in `_doubt_of_constant`.
     """
     doubts = [_doubt_of_constant(weighed, healthy, tolerance), _doubt_of_rest(healthy)]
-    share, chance = max(each for each, _ in doubts), weighed.probability
-    moved = share * chance.get((), 0.0)
-    return weighed._replace(probability={
-        **chance, (): chance.get((), 0.0) - moved,
-        (UNKNOWN,): chance.get((UNKNOWN,), 0.0) + moved}), [
+    return weighed._replace(probability=with_moved(
+        weighed.probability, (), (UNKNOWN,), max(each for each, _ in doubts))), [
             note for _, notes in doubts for note in notes]
 
 

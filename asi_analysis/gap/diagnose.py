@@ -5,6 +5,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -158,8 +159,7 @@ def _joint(runs: Sequence[Run], model: Mapping[str, Value], tolerance: float,
 
 
 def _in_one_band(runs: Sequence[Run], healthy: Diagnosis | None, drive: str, extent: Extent,
-                 again: Callable[[Sequence[Run], Extent], Diagnosis]
-                 ) -> tuple[Extent, Diagnosis | None]:
+                 again: Callable[..., Diagnosis]) -> tuple[Extent, Diagnosis | None]:
     """
     Return the extent of a joint with the band that all its recordings have in common.
 
@@ -171,7 +171,7 @@ def _in_one_band(runs: Sequence[Run], healthy: Diagnosis | None, drive: str, ext
     before = healthy.runs if healthy else ()
     extent = extent._replace(band_hz=min(extent.band_hz, shared_band([*before, *runs], drive)))
     if healthy and healthy.extent.band_hz > extent.band_hz:
-        healthy = again(before, extent._replace(hidden=healthy.extent.hidden))
+        healthy = again(before, extent=extent._replace(hidden=healthy.extent.hidden))
     # Its load rattles: it was fitted in a lower band.
     return (extent._replace(band_hz=min(extent.band_hz, healthy.extent.band_hz)) if healthy else
             extent), healthy
@@ -211,10 +211,12 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     Raises InputError for recordings that cannot be diagnosed; `notes` holds the warnings.
     """
     out = list(held_out) if held_out is not None else [False] * len(runs)
+    again = partial(diagnose, model=model, plant=plant, tolerance=tolerance, report=report,
+                    tolerances=tolerances)
     if plant == 'joint':
         drive = drive or drive_of(healthy.runs if healthy else runs)
-        extent, healthy = _in_one_band(runs, healthy, drive, extent, lambda of, to: diagnose(
-            of, model, plant, tolerance, None, drive, report, tolerances, extent=to))
+        again = partial(again, drive=drive)
+        extent, healthy = _in_one_band(runs, healthy, drive, extent, again)
     groups, simulated, notes = _groups(runs, model, plant, tolerance, out, drive, healthy, extent)
     given = {field_name(name): share for name, share in tolerances.items()}
     own = dict(given)
@@ -232,8 +234,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if healthy is not None and (has_linear_laws(model) or len(predicted) > 1):
         simulated = []
         if True in predicted:
-            healthy = diagnose(healthy.runs, model, plant, tolerance, report=report,
-                               tolerances=tolerances, simulate=False)
+            healthy = again(healthy.runs, simulate=False)
     if healthy is not None:
         machine = _machine_of(healthy, own)
         simulated = [against(group, machine) for group in simulated] if (
@@ -263,10 +264,8 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
         # The block-wise model needs the measured force, which is small with a free load.
         answered = explained_by_simulator(simulated, tick, model.get('load.type') == 'free')
     if simulated and healthy is not None and None in answered:
-        by_blocks = diagnose(healthy.runs, model, plant, tolerance, report=report,
-                             tolerances=tolerances, simulate=False)
-        return diagnose(runs, model, plant, tolerance, held_out, drive, report, tolerances,
-                        by_blocks, simulate=False)
+        return again(runs, held_out=held_out, healthy=again(healthy.runs, simulate=False),
+                     simulate=False)
     weighed = [each for each in answered if each is not None]
     if len(weighed) < len(groups):
         for group, known in itertools.zip_longest(groups, answered):
@@ -283,8 +282,7 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
             tried: dict[Extent, tuple[Diagnosis | None, dict[tuple[str, ...], Healthy]]] = {}
 
             def made(to: Extent) -> Sequence[Group]:
-                was = healthy and diagnose(healthy.runs, model, plant, tolerance, None, drive,
-                                           report, tolerances, extent=to)
+                was = healthy and again(healthy.runs, extent=to)
                 tried[to] = was, _machine_of(was, given) if was else {}
                 others, _ = _joint(runs, model, tolerance, out, drive, was, to if not was else
                                    to._replace(band_hz=min(to.band_hz, was.extent.band_hz)))

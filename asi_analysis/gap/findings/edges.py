@@ -71,7 +71,7 @@ def _at_edge(fitted: Fitted, free: Free, recording: Recording) -> Fitted:
     theta[fitted.free.index(free)] = (1.0 - free.low) / (free.high - free.low)
     group = replace(group, scale=group.scale | {free.scale: float(found.x)})
     return fitted._replace(record=record, theta=theta,
-                           problem=replace(fitted.problem, group=group, _key=b''))
+                           problem=replace(fitted.problem, group=group))
 
 
 def _unknown(recording: Recording, time: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
-from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.inference.probability import Names, with_moved
 from asi_analysis.gap.inference.uncertainty import LIMIT_95, interval, likelihood
 from asi_analysis.gap.model.blocks import load_constants
 from asi_analysis.gap.model.effects import UNKNOWN
@@ -77,9 +77,7 @@ def _moved(weighed: Weighed, names: Names, effect: str, share: float) -> Weighed
     if rest not in candidates or share * chance[names] > chance.get(rest, 0.0):
         candidates[rest] = candidates[names]._replace(names=rest)
     for each in [n for n in chance if effect in n and set(names) == set(n) - {UNKNOWN}]:
-        moved = share * chance[each]
-        chance[each] -= moved
-        chance[_without(each, effect)] = chance.get(_without(each, effect), 0.0) + moved
+        chance = with_moved(chance, each, _without(each, effect), share)
     return weighed._replace(candidates=candidates, probability=chance)
 
 

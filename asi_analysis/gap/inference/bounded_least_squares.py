@@ -33,13 +33,15 @@ def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Ar
             0.5 * float(right @ right) - float(solution.cost))
 
 
-def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], start: Array,
-             prior_weight: float, rounds: int, tolerance: float) -> tuple[Array, float]:
+def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array],
+             start: Array, prior_weight: float, rounds: int, tolerance: float
+             ) -> tuple[Array, float]:
     """
     Return parameters (each from 0 to 1) of least squares, and their cost: half the sum of squares.
 
-    prior_weight: of the deviation from the start (Tikhonov regularisation), for parameters that
-    are not identifiable apart; rounds: the most; tolerance: relative gain that ends the rounds.
+    jacobian: of parameters and their residual; prior_weight: of the deviation from the start
+    (Tikhonov regularisation), for parameters that are not identifiable apart; rounds: the most;
+    tolerance: relative gain that ends the rounds.
     """
     def cost_of(theta: Array, value: Array) -> float:
         distance = float(np.sum((theta - start) ** 2))
@@ -48,7 +50,7 @@ def minimise(residual: Callable[[Array], Array], jacobian: Callable[[Array], Arr
     theta, value = start, residual(start)
     cost, damping = cost_of(theta, value), 1e-4
     for _ in range(rounds):
-        slopes = jacobian(theta)
+        slopes = jacobian(theta, value)
         square = slopes.T @ slopes + prior_weight ** 2 * np.eye(theta.size)
         slope = slopes.T @ value + prior_weight ** 2 * (theta - start)
         before = cost

@@ -8,7 +8,7 @@ effect. Fits are compared on another part of the data.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import NamedTuple
@@ -166,8 +166,9 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     best_cost, best_theta = math.inf, ranked[0]
     tolerance = COARSE_TOLERANCE if known else FINE_TOLERANCE
     for start in ranked[:followed if len(starts) > 3 else 1]:
-        theta, cost = minimise(problem.residual, lambda theta: problem.jacobian(theta, known),
-                               start, PRIOR_WEIGHT, rounds, tolerance)
+        theta, cost = minimise(
+            problem.residual, lambda theta, base: problem.jacobian(theta, known, base), start,
+            PRIOR_WEIGHT, rounds, tolerance)
         if cost < best_cost:
             best_cost, best_theta = cost, theta
     record = problem.record(best_theta)
@@ -182,8 +183,6 @@ class Problem:
     group: Group
     free: tuple[Free, ...]
     fixed: tuple[tuple[str, float], ...] = ()
-    _key: bytes = b''
-    _last: list[Array] = field(default_factory=list)
 
     @cached_property
     def parameters(self) -> tuple[FreeParameter, ...]:
@@ -208,26 +207,22 @@ class Problem:
         """Return a free parameter with its bounds in its own unit."""
         return _parameter(free, self.group, self.group.nominal)
 
-    def _by_channel(self, theta: Array) -> list[Array]:
-        """Return the residual of each channel; the last one is kept."""
-        if self._key != theta.tobytes():
-            p = self.record(theta)
-            self._last = [_residual(self.group, channel, p) for channel in self.group.channels]
-            self._key = theta.tobytes()
-        return self._last
-
     def residual(self, theta: Array) -> Array:
         """Return the weighted residual on the fitted parts, channel after channel."""
-        return np.concatenate(self._by_channel(theta))
+        p = self.record(theta)
+        return np.concatenate([_residual(self.group, each, p) for each in self.group.channels])
 
-    def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({})) -> Array:
+    def jacobian(self, theta: Array, known: Mapping[str, Array] = MappingProxyType({}),
+                 base: Array | None = None) -> Array:
         """
         Return the Jacobian by finite differences, for the channels that a parameter acts on.
 
-        known: columns of the Jacobian by field, which are not computed again.
+        known: columns, by field, that are not computed again; base: the residual, if known.
         """
-        base = self._by_channel(theta)
-        columns = np.zeros((sum(part.size for part in base), theta.size))
+        channels = self.group.channels
+        residual = self.residual(theta) if base is None else base
+        columns = np.zeros((residual.size, theta.size))
+        by_channel = columns.reshape(len(channels), -1, theta.size)
         for i, parameter in enumerate(self.free):
             if parameter.field in known:
                 columns[:, i] = known[parameter.field]
@@ -236,12 +231,10 @@ class Problem:
             moved = theta.copy()
             moved[i] += step
             p = self.record(moved)
-            begin = 0
-            for channel, part in zip(self.group.channels, base, strict=True):
-                end = begin + part.size
+            for channel, part, rows in zip(channels, residual.reshape(len(channels), -1),
+                                           by_channel, strict=True):
                 if acts_on(parameter.field, channel, self.group):
-                    columns[begin:end, i] = (_residual(self.group, channel, p) - part) / step
-                begin = end
+                    rows[:, i] = (_residual(self.group, channel, p) - part) / step
         return columns
 
 
@@ -432,7 +425,7 @@ class LinearScreen:
     def __init__(self, base: Fitted) -> None:
         self.base = base
         self._residual = base.problem.residual(base.theta)
-        self._jacobian = base.problem.jacobian(base.theta)
+        self._jacobian = base.problem.jacobian(base.theta, base=self._residual)
         self.derivatives = {free.field: column for free, column
                             in zip(base.free, self._jacobian.T, strict=True)}
         self._square = self._jacobian.T @ self._jacobian

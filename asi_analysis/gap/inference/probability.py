@@ -296,6 +296,13 @@ def with_hidden_effect(joined: Mapping[Names, float]) -> dict[Names, float]:
     return {**joined, (): kept, (UNKNOWN,): none + unknown - kept}
 
 
+def with_moved(chance: Mapping[Names, float], of: Names, to: Names, share: float = 1.0
+               ) -> dict[Names, float]:
+    """Return probabilities, of which a share of that of one hypothesis is now another's."""
+    moved = share * chance.get(of, 0.0)
+    return {**chance, of: chance.get(of, 0.0) - moved, to: chance.get(to, 0.0) + moved}
+
+
 def join_probabilities(groups: Sequence[dict[Names, float]]) -> dict[Names, float]:
     """Return the probability of every union of one hypothesis of each group."""
     joined: dict[Names, float] = {}

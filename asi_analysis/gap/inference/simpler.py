@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from asi_analysis.gap.inference.fit import AT_LIMIT
-from asi_analysis.gap.inference.probability import Names
+from asi_analysis.gap.inference.probability import Names, with_moved
 from asi_analysis.gap.inference.related import Candidate
 from asi_analysis.gap.inference.uncertainty import end, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN
@@ -39,9 +39,7 @@ def as_simple_friction(chance: Mapping[Names, float], candidates: Mapping[Names,
         if not _may_be_simple(own, found, candidates[simple]):
             continue
         for each, to in beside:
-            half = 0.5 * moved.get(each, 0.0)
-            moved[each] = half
-            moved[to] = moved.get(to, 0.0) + half
+            moved = with_moved(moved, each, to, 0.5)
     return moved
 
 

@@ -43,7 +43,8 @@ def likelihood(fitted: Fitted, at_bound: float = AT_BOUND) -> Likelihood:
     problem, theta = fitted.problem, fitted.theta
     group = problem.group
     count = len(group.channels)
-    residual, slopes = problem.residual(theta), problem.jacobian(theta)
+    residual = problem.residual(theta)
+    slopes = problem.jacobian(theta, base=residual)
     square, slope = np.zeros((theta.size, theta.size)), np.zeros(theta.size)
     if isinstance(problem, Posterior):
         (residual, missed), (slopes, others) = map(problem.split, (residual, slopes))
