@@ -203,6 +203,15 @@ class Problem:
             p[free.field] = _parameter(free, self.group, p).value(float(share))
         return p
 
+    def theta(self, p: np.void) -> Array:
+        """Return the parameter vector (shares of the ranges) of a plant's record."""
+        return np.array([each.share(float(p[free.field]))
+                         for free, each in zip(self.free, self.parameters, strict=True)])
+
+    def columns(self, jacobian: Array) -> dict[str, Array]:
+        """Return the columns of a Jacobian by the fields of the free parameters."""
+        return dict(zip((free.field for free in self.free), jacobian.T, strict=True))
+
     def parameter(self, free: Free) -> FreeParameter:
         """Return a free parameter with its bounds in its own unit."""
         return _parameter(free, self.group, self.group.nominal)
@@ -426,8 +435,7 @@ class LinearScreen:
         self.base = base
         self._residual = base.problem.residual(base.theta)
         self._jacobian = base.problem.jacobian(base.theta, base=self._residual)
-        self.derivatives = {free.field: column for free, column
-                            in zip(base.free, self._jacobian.T, strict=True)}
+        self.derivatives = base.problem.columns(self._jacobian)
         self._square = self._jacobian.T @ self._jacobian
         self._right = self._jacobian.T @ self._residual
 

@@ -304,8 +304,8 @@ def _slopes_of_mass(found: Found, weight: Array) -> Array:
 
 def _columns(problem: Posterior, slopes: Array, chosen: Mask) -> dict[str, Array]:
     """Return the chosen columns of a Jacobian, by field."""
-    return {free.field: column for free, column, known in zip(
-        problem.free, slopes.T, chosen, strict=True) if known}
+    return {field: column for (field, column), known in zip(
+        problem.columns(slopes).items(), chosen, strict=True) if known}
 
 
 class _Axes(NamedTuple):

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from asi_analysis.arrays import Array
 from asi_analysis.gap.inference.coloured_noise import with_coloured_noise
 from asi_analysis.gap.inference.posterior import (
     LIGHT_ROUNDS,
@@ -126,8 +125,7 @@ def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
 
 def refitted_as(found: Found, problem: Posterior, goal: float = math.inf) -> Found:
     """Return a hypothesis, refitted as another problem of the same parameters."""
-    moved = found._replace(problem=problem).at(found.best.theta)
-    return moved._replace(best=moved.best._replace(slopes=None)).refined(goal=goal)
+    return found.moved(problem, found.best.theta).refined(goal=goal)
 
 
 def _colour(group: Group) -> list[dict[str, tuple[float, ...]]]:
@@ -180,8 +178,7 @@ def _with_nominal(found: Found) -> tuple[Found, Found]:
     shapes = [free in (*group.shapes, *group.other_shapes) for free in problem.free]
     theta = np.where((precision > 0.0) | shapes, problem.nominal, found.best.theta)
     group = recorrected(problem.group, problem.record(theta))
-    return found, found._replace(problem=replace(problem, group=group),
-                                 best=found.best._replace(slopes=None)).at(theta)
+    return found, found.moved(replace(problem, group=group), theta)
 
 
 def with_usual_parameters(found: Found) -> Found:
@@ -196,8 +193,3 @@ def with_usual_parameters(found: Found) -> Found:
         share *= LIGHTER
         found = found.lighter(share, LIGHT_ROUNDS)
     return found
-
-
-def columns_of(problem: Posterior, jacobian: Array) -> dict[str, Array]:
-    """Return the columns of a Jacobian by the fields of the free parameters."""
-    return {free.field: column for free, column in zip(problem.free, jacobian.T, strict=True)}

@@ -87,8 +87,7 @@ def _with_other_shapes(found: Found) -> Found:
     begun = (np.append(best.theta, [problem.parameter(free).share(value) for free, value
                                     in zip(more, values, strict=True)])
              for values in product(*(free.starts for free in more)))
-    return found._replace(problem=problem, best=best._replace(slopes=None)).at(
-        min(begun, key=problem.cost))
+    return found.moved(problem, min(begun, key=problem.cost))
 
 
 def in_formulation(found: Mapping[Names, Found], other: bool,

@@ -58,6 +58,10 @@ class Found(NamedTuple):
         return self._replace(best=Best(theta, self.problem.cost(theta, residual), residual,
                                        self.best.slopes))
 
+    def moved(self, problem: Posterior, theta: Array) -> 'Found':
+        """Return the hypothesis at parameters of another problem, whose Jacobian is not known."""
+        return self._replace(problem=problem, best=self.best._replace(slopes=None)).at(theta)
+
     def weighed_as(self, problem: Posterior) -> 'Found':
         """Return the hypothesis in a problem that only weighs the channels otherwise."""
         slopes, moved = self.best.slopes, self._replace(problem=problem).at(self.best.theta)
@@ -179,14 +183,13 @@ def at_values_of(found: Found, other: Found, fields: set[str]) -> Found:
 
     With the integration error corrected as in that fit, if its sub-step is the same.
     """
-    problem, best = found.problem, found.best._replace(slopes=None)
+    problem = found.problem
     substeps = {float(each.problem.record(each.best.theta)['maximum_substep'])
                 for each in (found, other)}
     if len(substeps) == 1:
         problem = replace(problem, group=replace(
             problem.group, recordings=other.problem.group.recordings))
-    found = found._replace(problem=problem, best=best)
-    return found.at(with_values_of(found, other, fields))
+    return found.moved(problem, with_values_of(found, other, fields))
 
 
 def with_values_of(found: Found, other: Found, fields: set[str]) -> Array:

@@ -22,7 +22,7 @@ from asi_analysis.gap.inference.posterior import (
     of_first_part,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.fits import columns_of, converged
+from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
@@ -146,7 +146,7 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
     fields, own = freed_fields(leader)
     # If the leader leaves more than noise, another effect must gain much: that is seen without
     # computing the whole Jacobian again.
-    at_leader: Mapping[str, Array] = columns_of(leader.problem, leader.slopes)
+    at_leader: Mapping[str, Array] = leader.problem.columns(leader.slopes)
     most, beside = goal(leader, null), leader.best.cost + COST_RANGE
     reached: dict[Names, float] = {}   # by a form of each effect
 

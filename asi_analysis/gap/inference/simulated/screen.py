@@ -158,5 +158,4 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     ranks = (sorted(range(len(starts)), key=lambda n: -gains[n][kind]) for kind in (0, 1))
     ranked = [starts[n]._replace(amount=gains[n][2])
               for both in zip(*ranks, strict=True) for n in both]
-    return Screened(ranked, max(free for free, *_ in gains), {
-        free.field: column for free, column in zip(problem.free, slopes.T, strict=True)})
+    return Screened(ranked, max(free for free, *_ in gains), problem.columns(slopes))

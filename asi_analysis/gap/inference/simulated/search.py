@@ -180,8 +180,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
     null = null._replace(problem=replace(null.problem, group=replace(
         null.problem.group, scale=null.problem.group.scale | initial_guesses(null.as_fitted))))
     problem, theta = null.problem, null.problem.nominal
-    values, at = problem.record(theta), null.at(theta)
-    base = at._replace(best=at.best._replace(slopes=None))
+    values, base = problem.record(theta), null.moved(problem, theta)
 
     def fitted_alone(start: Start) -> Found:
         count = len(start.variant.free)
@@ -191,14 +190,12 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
         best = most_probable(own, start.theta[-count:], goal=null.largest_cost)
         found = converged(Found((start.name,), (start.variant,), own, best), null.largest_cost)
         substep = float(found.problem.record(found.best.theta)['maximum_substep'])
-        return found._replace(problem=replace(
-            start.problem, group=found.problem.group, fixed=(
-                *start.problem.fixed, ('maximum_substep', substep)))).at(
-                    np.append(start.theta[:-count], found.best.theta))
+        whole = replace(start.problem, group=found.problem.group, fixed=(
+            *start.problem.fixed, ('maximum_substep', substep)))
+        return found.moved(whole, np.append(start.theta[:-count], found.best.theta))
 
     fits = problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
-    return [each._replace(best=each.best._replace(slopes=None)) for each in fits
-            if each.best.cost < math.inf and not each.unexplained]
+    return [each for each in fits if each.best.cost < math.inf and not each.unexplained]
 
 
 def _beside(found: Found) -> Found:

@@ -9,8 +9,6 @@ Friction whose seals are too soft to slide is a spring, which imitates other eff
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged
@@ -29,10 +27,9 @@ def alone_of(null: Found, found: Found, variant: Variant) -> Found:
                   if each[0] not in gone or each in (*variant.fixed, *null.problem.fixed))
     problem = replace(found.problem, fixed=fixed, free=(
         *(free for free in null.problem.free if free.field not in own), *variant.free))
-    theta = np.array([problem.parameter(free).share(float(values[free.field]))
-                      for free in problem.free])
     name, = (name for name, forms in problem.group.effects.items() if variant in forms)
-    return converged(Found((name,), (variant,), problem, most_probable(problem, theta)))
+    return converged(Found((name,), (variant,), problem, most_probable(
+        problem, problem.theta(values))))
 
 
 def simpler_forms(found: Found, goal: float) -> Iterator[Found]:
@@ -54,9 +51,7 @@ def simpler_forms(found: Found, goal: float) -> Iterator[Found]:
                 free = (*(each for each in problem.free if each.field not in held),
                         *(each for each in problem.group.nuisance if each.field in held))
                 simpler = replace(problem, free=free)
-                theta = np.array([simpler.parameter(each).share(float(values[each.field]))
-                                  for each in free])
-                best = most_probable(simpler, theta, goal=goal)
+                best = most_probable(simpler, simpler.theta(values), goal=goal)
                 if best.cost < goal:
                     yield converged(found._replace(
                         variants=(*found.variants[:number], variant,

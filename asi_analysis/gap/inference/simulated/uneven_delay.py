@@ -115,7 +115,7 @@ def _with_delay(null: Found) -> Found:
     free, = form.free
     longer = replace(problem, free=(*problem.free, free))
     theta = np.append(null.best.theta, longer.start(free, free.starts[0]))
-    return Found((EFFECT,), (form,), longer, null.best._replace(slopes=None)).at(theta)
+    return null._replace(names=(EFFECT,), variants=(form,)).moved(longer, theta)
 
 
 def _of_command(found: Found) -> Found:
@@ -132,8 +132,7 @@ def _of_command(found: Found) -> Found:
     problem = replace(problem, free=tuple(free), fixed=(
         *problem.fixed, (FLEXURE, float(nominal[FLEXURE]))))
     theta[numbers[0]] = problem.parameter(form.free[0]).share(delay)
-    return found._replace(variants=(form,), problem=problem, best=found.best._replace(
-        slopes=None)).at(theta)
+    return found._replace(variants=(form,)).moved(problem, theta)
 
 
 def _fitted(start: Found, width: float) -> _Late:
