@@ -62,9 +62,9 @@ def topics_table() -> str:
 def effects_table() -> str:
     """Return the effects that a diagnosis may name as a Markdown table."""
     from asi_actuator.model.effects import EFFECTS
-    from asi_analysis.gap.model.forms import FORMS
+    from asi_analysis.gap.model import forms
     rows = [f'| `{effect.name}` | {effect.block.replace("_", " ")} | {effect.description} |'
-            for effect in EFFECTS if effect.name in FORMS]
+            for effect in EFFECTS if effect.name in forms.EFFECTS]
     return '\n'.join(['| effect | block | in the real machine |', '|---|---|---|', *rows])
 
 

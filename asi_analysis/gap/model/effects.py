@@ -78,13 +78,13 @@ class Variant(NamedTuple):
     """
     One form of an effect.
 
-    channels: those that it acts on: 'valve', 'force', 'load'; fixed: fields that it sets; needs:
-    fields of the nominal record that must not be zero; where: fields of the nominal record, and
-    the value that each must have; joined: only combined with another effect.
+    channels: those that it acts on, block by block: 'valve', 'force', 'load'; fixed: fields that
+    it sets; needs: fields of the nominal record that must not be zero; where: fields of the
+    nominal record, and the value that each must have; joined: only combined with another effect.
     """
 
     free: tuple[Free, ...]
-    channels: tuple[str, ...]
+    channels: tuple[str, ...] = ()
     fixed: tuple[tuple[str, float], ...] = ()
     needs: tuple[str, ...] = ()
     joined: bool = False

@@ -441,10 +441,10 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
     """Return the channels of a group that a form of an effect acts on; none if not applicable."""
     if not variant.applies(group.nominal):
         return set()
-    shows = set(variant.channels)
     if simulator.of_simulator(group.nominal):
         return {channel for channel in group.channels
                 if any(acts_on(free.field, channel, group) for free in variant.free)}
+    shows = set(variant.channels)
     if 'valve' in shows and not group.measures_valve:
         shows.add('force')
     return shows & set(group.channels)

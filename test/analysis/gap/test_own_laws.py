@@ -29,7 +29,7 @@ from asi_analysis.gap.inference.simulated.special_cases import (
 )
 from asi_analysis.gap.inference.simulated.uneven_delay import uneven
 from asi_analysis.gap.model import blocks
-from asi_analysis.gap.model.forms import FORMS
+from asi_analysis.gap.model.forms import EFFECTS
 from asi_analysis.gap.model.group import simulator_group
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.model.predict import plant_record
@@ -287,11 +287,11 @@ def test_a_special_case_of_the_best_fit_is_fitted_from_its_values():
         return Found((name,), (variant,), problem, best)
 
     stiction = fitted('stiction', next(
-        variant for variant in FORMS['stiction']
+        variant for variant in EFFECTS['stiction']
         if {free.field for free in variant.free} >= friction.keys()), friction)
     elsewhere = friction | {'friction_coulomb': 200.0, 'friction_presliding_slip': 1.0}
     forms = [fitted(name, variant, elsewhere) for name in ('coulomb_friction', 'viscous_friction')
-             for variant in FORMS[name]]
+             for variant in EFFECTS[name]]
     special = special_cases(stiction, forms)
     assert {each.names for each in special} == {('coulomb_friction',)}
     # Cylinder or behind the sensor: only in the right place it explains as much.
@@ -303,8 +303,8 @@ def test_a_lag_of_two_poles_is_compared_as_one_of_one_pole_too():
     """What is free without need costs an effect probability beside one of fewer parameters."""
     run = recorded(valve_flexure__lag_time=0.004)[:1500]
     group = simulator_group(simulator_record(REAL), prepare([run]), ('valve',), linear=True)
-    one, two, _ = FORMS['valve_lag']
-    bias, _ = FORMS['valve_bias']
+    one, two, _ = EFFECTS['valve_lag']
+    bias, _ = EFFECTS['valve_bias']
     problem = Posterior(group, (*group.nuisance, *two.free, *bias.free))
     best = most_probable(problem, problem.nominal)
     for names, variants in ((('valve_lag', 'valve_bias'), (two, bias)),
@@ -319,7 +319,7 @@ def test_a_lag_of_two_poles_is_compared_as_one_of_one_pole_too():
 def test_a_nominal_parameter_that_a_simpler_form_does_not_free_has_its_prior_again():
     group = simulator_group(simulator_record({'load.type': 'spring'}), prepare(
         [recorded()[:1000]]), ('force', 'velocity'))
-    _, two, *_ = FORMS['stiction']
+    _, two, *_ = EFFECTS['stiction']
     problem = Posterior(group, (*(free for free in group.nuisance if free.field not in {
         each.field for each in two.free}), *two.free))
     theta = problem.nominal
@@ -375,7 +375,7 @@ def test_friction_that_hardly_slides_is_a_spring():
         p = group.nominal.copy()
         for name, value in values.items():
             p[name] = value
-        free = FORMS['coulomb_friction'][2].free
+        free = EFFECTS['coulomb_friction'][2].free
         found = SimpleNamespace(variants=[SimpleNamespace(free=free)], best=SimpleNamespace(
             theta=None), problem=SimpleNamespace(group=group, record=lambda _: p))
         return never_slides(found)

@@ -16,7 +16,7 @@ from asi_analysis.gap.inference.posterior import (
 from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import DOTTED, PARAMETER, Effects, Free, Variant
-from asi_analysis.gap.model.group import Group, acts_on, with_fitted_start
+from asi_analysis.gap.model.group import Group, with_fitted_start
 from asi_analysis.gap.model.simulator import VALVE_ERROR
 from asi_analysis.gap.model.start import SEAL
 
@@ -82,8 +82,7 @@ def parameter_errors(group: Group) -> Effects:
     """Return the hypotheses that a nominal parameter is beyond its tolerance."""
     held = {free.field for forms in group.effects.values() for form in forms
             for free in form.free if free.scale == 'nominal'}
-    return {PARAMETER + DOTTED[free.field]: (Variant(
-        (Free(free.field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal'),),
-        tuple(channel for channel in group.channels if acts_on(free.field, channel, group))),)
+    return {PARAMETER + DOTTED[free.field]: (Variant((
+        Free(free.field, 0.1, 10.0, (0.5, 0.7, 1.5, 2.2), 'nominal'),)),)
         for free in group.nuisance
         if free.prior < math.inf and free.scale == 'nominal' and free.field not in held}
