@@ -282,14 +282,13 @@ def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
     return values | {name: float(value) for name, value in limits.items() if np.isfinite(value)}
 
 
-def in_words_of(diagnosis: Diagnosis, groups: Mapping[str, Weighed],
-                held: Mapping[str, frozenset[str]]) -> tuple[list[str], list[str]]:
-    """Return the values of the verdict in words: of fields that are held, and of others."""
+def _said(diagnosis: Diagnosis, groups: Mapping[str, Weighed]) -> tuple[list[str], list[str]]:
+    """Return the values of the verdict in words: of fields that are WRITTEN, and of others."""
     said: list[str] = []
     unsaid = [in_words(UNKNOWN, 'joint')] if UNKNOWN in diagnosis.verdict else []
     for channel, weighed in groups.items():
         for field, text in _sizes(diagnosis, weighed, diagnosis.best(weighed)).items():
-            (said if field.partition('@')[0] in held[channel] and '@' not in field
+            (said if field.partition('@')[0] in WRITTEN[channel] and '@' not in field
              else unsaid).append(text)
     return said, unsaid
 
@@ -385,7 +384,7 @@ def node_parameters(diagnosis: Diagnosis, given: Mapping[str, Value]
     values['joint.type'] = 'revolute' if turns else 'prismatic'
     if run.position_m is not None:
         values['load.start'] = float(run.position_m[np.isfinite(run.position_m)][0])
-    said, unsaid = in_words_of(diagnosis, groups, WRITTEN)
+    said, unsaid = _said(diagnosis, groups)
     null = {name: value for name, value in defaults(JOINT_PARAMETERS).items()
             if name not in ALWAYS}
     return {name: value for name, value in values.items()

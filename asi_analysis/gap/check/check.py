@@ -195,6 +195,10 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
     def first(row: Row) -> str | None:
         return row['which'][0]['effect'] if row['which'] else None
 
+    def finds(row: Row, answer: Mapping[str, Any], also: Sequence[str] = ()) -> bool:
+        return (first(row) in (answer['effects'][0], *also)
+                and row['verdict'] not in (NO_GAP, UNKNOWN))
+
     visible = [(r, a) for r, a in single if _is_visible(r)]
     named = [[w['effect'] for w in r['which'] if w['probability'] > 0.5] for r, _ in pairs]
     right = [is_right(r, a) for r, a in both]
@@ -216,13 +220,10 @@ def score(rows: Sequence[Row], answers: Mapping[str, Mapping[str, Any]]) -> dict
         'cases': len(rows),
         'block_accuracy': _share([bool(r['where']) and r['where'][0]['block'] == a['blocks'][0]
                                   for r, a in single]),
-        'effect_accuracy': _share([first(r) == a['effects'][0] and r['verdict'] not in
-                                   (NO_GAP, UNKNOWN) for r, a in single]),
-        'effect_or_parameter_accuracy': _share([
-            first(r) in (a['effects'][0], *parameters_beyond(a)) and r['verdict'] not in
-            (NO_GAP, UNKNOWN) for r, a in single]),
-        'visible_effect_accuracy': _share([first(r) == a['effects'][0] and r['verdict'] not in
-                                           (NO_GAP, UNKNOWN) for r, a in visible]),
+        'effect_accuracy': _share([finds(r, a) for r, a in single]),
+        'effect_or_parameter_accuracy': _share([finds(r, a, parameters_beyond(a))
+                                                for r, a in single]),
+        'visible_effect_accuracy': _share([finds(r, a) for r, a in visible]),
         'ambiguity_coverage': _share([any(is_truth(names, a) for names in r['ambiguity_set'])
                                       for r, a in single]),
         'mean_ambiguity_size': float(np.mean([len(r['ambiguity_set']) for r, _ in single]))

@@ -148,25 +148,31 @@ def explained(weighed: Weighed, names: Names, channel: str) -> dict[str, float]:
     """
     Return the contribution of each effect of a hypothesis to a channel (mean square).
 
-    Shapley values: the mean over all orders in which the effects are added to the model; at least
-    LEAST_SHARE of the largest.
+    Shapley values, at least LEAST_SHARE of the largest.
     """
     group = weighed.group
 
-    def residual(present: frozenset[str]) -> float:
+    def explains(present: Collection[str]) -> float:
         absent = [name for name in names if name not in present]
-        return held_out_error(group, _nulled(weighed, names, absent))[channel]
+        return -held_out_error(group, _nulled(weighed, names, absent))[channel]
 
-    known = {chosen: residual(chosen) for count in range(len(names) + 1)
-             for chosen in map(frozenset, itertools.combinations(names, count))}
+    parts = _shapley_values(names, explains)
+    trace = LEAST_SHARE * max(max(parts.values()), 1e-300)
+    return {name: max(part, trace) for name, part in parts.items()}
+
+
+def _shapley_values(names: Collection[str], value: Callable[[Collection[str]], float]
+                    ) -> dict[str, float]:
+    """Return what each name adds to a value, in the mean over all orders of adding them."""
+    known = {frozenset(chosen): value(chosen) for count in range(len(names) + 1)
+             for chosen in itertools.combinations(names, count)}
     parts = dict.fromkeys(names, 0.0)
     orders = list(itertools.permutations(names))
     for order in orders:
         for place, name in enumerate(order):
             before = frozenset(order[:place])
-            parts[name] += (known[before] - known[before | {name}]) / len(orders)
-    trace = LEAST_SHARE * max(max(parts.values()), 1e-300)
-    return {name: max(part, trace) for name, part in parts.items()}
+            parts[name] += (known[before | {name}] - known[before]) / len(orders)
+    return parts
 
 
 def _load_velocity(recording: Recording, p: np.void) -> Array:
@@ -194,16 +200,15 @@ def along_the_chain(recording: Recording, p_valve: np.void, p_force: np.void) ->
                  'velocity': _load_velocity(recording, p_force)}
     valid = recording.valid
 
-    def error(*swapped: str) -> float:
+    def error(swapped: Collection[str]) -> float:
         changed: dict[str, Any] = {name: simulated[name] for name in swapped}
         mixed = replace(recording, **changed)
         residual = measured(recording, 'force') - predict(mixed, 'force', p_force)
         return float(np.mean(residual[valid] ** 2))
 
-    none, z, v = error(), error('valve_position'), error('velocity')
-    both = error('valve_position', 'velocity')
-    parts = {'command_path and valve': 0.5 * ((z - none) + (both - v)),
-             'mechanics': 0.5 * ((v - none) + (both - z)), 'hydraulics and sensor': none}
+    more = _shapley_values(tuple(simulated), error)
+    parts = {'command_path and valve': more['valve_position'], 'mechanics': more['velocity'],
+             'hydraulics and sensor': error(())}
     total = sum(max(part, 0.0) for part in parts.values()) or 1.0
     return {name: max(part, 0.0) / total for name, part in parts.items()}
 

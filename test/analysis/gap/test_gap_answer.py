@@ -240,7 +240,7 @@ def test_a_ripple_by_the_position_is_told_with_its_period(monkeypatch):
     turned = 0.8 * np.sin(1.3 * time) + 0.1 * np.sin(7.1 * time)
     rest = np.sin(40.0 * turned) + 0.3 * rng.standard_normal(time.size) + 0.2 * np.sin(0.3 * time)
     recordings = [SimpleNamespace(
-        motion=SimpleNamespace(position=turned + origin, pad=0, measured=True),
+        motion=SimpleNamespace(position=turned + origin, inner=slice(None), measured=True),
         valid=np.ones(time.size, bool), fit=np.ones(time.size, bool)) for origin in (0.0, 0.3)]
     monkeypatch.setattr('asi_analysis.gap.findings.ripple.unexplained', lambda *_: rest)
     found = ripple(SimpleNamespace(recordings=recordings), 'load', None)
