@@ -30,7 +30,6 @@ from asi_analysis.gap.findings.edges import PLACED, placed
 from asi_analysis.gap.findings.no_effect import SENSOR_GAIN as GAIN
 from asi_analysis.gap.findings.no_effect import place_of_gap, with_gap_centre, with_tolerated_gain
 from asi_analysis.gap.findings.one_rate import at_one_rate
-from asi_analysis.gap.findings.ripple import ripple
 from asi_analysis.gap.findings.shrink import Shrink, shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
@@ -417,7 +416,7 @@ def document(diagnosis: Diagnosis) -> dict[str, Any]:
     if UNKNOWN in diagnosis.verdict or UNKNOWN in {name for names in ambiguous for name in names}:
         unexplained = localisation.in_words(
             regimes, localisation.dependence(weighed.group, main.channel, best),
-            ripple(weighed.group, main.channel, best),
+            localisation.ripple(weighed.group, main.channel, best),
             unit_of('m', main.channel, diagnosis.runs[0], diagnosis.plant))
     return {
         'verdict': hypothesis_name(diagnosis.verdict), 'plant': diagnosis.plant,

@@ -10,7 +10,6 @@ from scipy.signal import butter, sosfiltfilt
 
 from asi_actuator.model.effects import BLOCKS
 from asi_analysis.arrays import Array, Mask
-from asi_analysis.gap.findings.ripple import Ripple
 from asi_analysis.gap.inference.fit import held_out_error
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import Names
@@ -37,6 +36,9 @@ NEARLY = 0.9   # a sine has two parameters where the means have BINS
 IN_TIME = 'time in the run'
 OF_FORCE = ('force', 'load')   # channels that compare the force
 REPORTED_FACTOR = 1.6    # ratio of the largest to the smallest regime that is reported
+# Of a ripple by the position (teeth, poles, ribs): cells of the position's range; periods in that
+# range; spatial frequencies tried in the width of a line.
+CELLS, FEWEST, MOST, PER_PERIOD = 4096, 2, 256, 4
 
 
 class Regime(NamedTuple):
@@ -50,6 +52,13 @@ class Regime(NamedTuple):
     regime: str
     relative: float
     after: float
+    share: float
+
+
+class Ripple(NamedTuple):
+    """A sine of the position: its period (m, or rad) and the share of the power that it is."""
+
+    period: float
     share: float
 
 
@@ -315,6 +324,49 @@ def dependence(group: Group, channel: str, p: np.void) -> dict[str, float]:
         mean = np.bincount(place, rest) / count
         found[name] = float(np.sum(count * mean ** 2) / max(float(rest @ rest), 1e-300))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def ripple(group: Group, channel: str, p: np.void) -> Ripple | None:
+    """
+    Return the sine of the position that explains most of a channel's residual.
+
+    Of any phase in each recording, as the origins of their positions may differ. None if the
+    position was not measured. p: record of the model.
+    """
+    waves, spans = np.arange(FEWEST, MOST, 1.0 / PER_PERIOD), []
+    power, whole = np.zeros(waves.size), 0.0
+    courses = []
+    for recording in group.recordings:
+        motion = recording.motion
+        if motion is None or not motion.measured:
+            return None
+        position = motion.position[motion.inner][recording.valid]
+        courses.append((position, unexplained(recording, channel, p)[recording.valid]))
+        spans.append(float(np.ptp(position)))
+    span = max(spans)
+    if span == 0.0:
+        return None
+    for position, rest in courses:
+        power += _explained_by_waves((position - position.min()) / span, rest - rest.mean(),
+                                     waves)
+        whole += float(rest @ rest)
+    most = int(np.argmax(power))
+    return Ripple(span / float(waves[most]), float(power[most]) / max(whole, 1e-300))
+
+
+def _explained_by_waves(place: Array, rest: Array, waves: Array) -> Array:
+    """Return the power that a sine of each number of waves explains; place: from 0 to 1."""
+    cell = np.minimum((place * CELLS).astype(int), CELLS - 1)
+    count, total = np.bincount(cell, minlength=CELLS), np.bincount(cell, rest, CELLS)
+    filled = count > 0
+    centre, count, total = (np.arange(CELLS) + 0.5)[filled] / CELLS, count[filled], total[filled]
+    power = np.empty(waves.size)
+    for number, wave in enumerate(waves):
+        shapes = np.array([np.ones(centre.size), np.cos(2.0 * np.pi * wave * centre),
+                           np.sin(2.0 * np.pi * wave * centre)])
+        push = shapes @ total
+        power[number] = push @ np.linalg.lstsq((shapes * count) @ shapes.T, push)[0]
+    return power
 
 
 def in_words(regimes: list[Regime], depends: Mapping[str, float], rippled: Ripple | None = None,

@@ -24,7 +24,6 @@ from asi_analysis.gap.diagnose import diagnose, document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.findings import localisation
 from asi_analysis.gap.findings.localisation import by_block, explained
-from asi_analysis.gap.findings.ripple import ripple
 from asi_analysis.gap.inference.fit import LinearScreen, fit_null, fit_variants
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed, effective_hypotheses
 from asi_analysis.gap.model.effects import EFFECTS
@@ -242,8 +241,8 @@ def test_a_ripple_by_the_position_is_told_with_its_period(monkeypatch):
     recordings = [SimpleNamespace(
         motion=SimpleNamespace(position=turned + origin, inner=slice(None), measured=True),
         valid=np.ones(time.size, bool), fit=np.ones(time.size, bool)) for origin in (0.0, 0.3)]
-    monkeypatch.setattr('asi_analysis.gap.findings.ripple.unexplained', lambda *_: rest)
-    found = ripple(SimpleNamespace(recordings=recordings), 'load', None)
+    monkeypatch.setattr('asi_analysis.gap.findings.localisation.unexplained', lambda *_: rest)
+    found = localisation.ripple(SimpleNamespace(recordings=recordings), 'load', None)
     assert found.period == pytest.approx(2.0 * np.pi / 40.0, rel=0.01)
     assert found.share == pytest.approx(0.5 / np.mean(rest ** 2), rel=0.1)
     words = localisation.in_words([], {'position': 0.1, 'velocity': 0.3}, found, 'rad')

@@ -41,10 +41,13 @@ from asi_analysis.gap.inference.simulated import fits, formulation, one_more_eff
 from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_valve
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
-from asi_analysis.gap.inference.simulated.fits import with_noise_from_fit
+from asi_analysis.gap.inference.simulated.fits import (
+    null_fit,
+    parameter_errors,
+    with_noise_from_fit,
+)
 from asi_analysis.gap.inference.simulated.formulation import in_formulation, sufficient
 from asi_analysis.gap.inference.simulated.found import Found, nearest_to_nominal
-from asi_analysis.gap.inference.simulated.nominal_fit import null_fit, parameter_errors
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import interval, likelihood

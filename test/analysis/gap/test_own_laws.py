@@ -17,9 +17,8 @@ from asi_analysis.gap.diagnose import diagnose, document, improved_of
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Best, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import uneven_delay
-from asi_analysis.gap.inference.simulated.fits import with_fine_substeps
+from asi_analysis.gap.inference.simulated.fits import null_fit, with_fine_substeps
 from asi_analysis.gap.inference.simulated.found import Found
-from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.own_laws import _goal
 from asi_analysis.gap.inference.simulated.special_cases import (
     from_values_of,

@@ -22,13 +22,13 @@ from asi_analysis.gap.inference.simulated.behind_valve import (
 )
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
+    null_fit,
     with_fine_substeps,
     with_noise_from_fit,
     with_noise_left,
 )
 from asi_analysis.gap.inference.simulated.formulation import goal_beside, in_formulation
 from asi_analysis.gap.inference.simulated.found import Found, cost_of
-from asi_analysis.gap.inference.simulated.nominal_fit import null_fit
 from asi_analysis.gap.inference.simulated.search import single_effects, with_pairs
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effects, has_one_law

@@ -33,8 +33,12 @@ from asi_analysis.gap.inference.simulated.behind_valve import (
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     converged,
+    hides_an_effect,
+    rough_null_fit,
+    to_the_end,
     with_noise_from_fit,
     with_noise_left,
+    with_start_of_fit,
     with_usual_parameters,
 )
 from asi_analysis.gap.inference.simulated.formulation import (
@@ -47,12 +51,6 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     cost_of,
-)
-from asi_analysis.gap.inference.simulated.nominal_fit import (
-    hides_an_effect,
-    rough_null_fit,
-    to_the_end,
-    with_start_of_fit,
 )
 from asi_analysis.gap.inference.simulated.one_more_effect import (
     ROUGH_FITS,
