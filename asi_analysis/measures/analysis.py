@@ -100,6 +100,8 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
                | {'oscillation': swing.to_dict()})
     reliable = dict(step.reliable)
     notes += _withhold_doubtful(run, name, step, findings(run), figures, reliable)
+    if width.reason and width.bandwidth_hz:
+        reliable['bandwidth_hz'] = False
     return Analysis({
         'source': run.source,
         'samples': len(run),

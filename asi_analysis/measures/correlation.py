@@ -13,8 +13,10 @@ LEAST_CORRELATION: Final = 0.3
 EQUAL_CORRELATION: Final = 0.01
 # A delay is clear if all correlations that speak against it are below this share of its own.
 CLEARLY: Final = 0.8
-# Correlation of an input with itself from which on it repeats.
+# Correlation of an input with itself from which on it repeats, and from which on one lag may be
+# taken for another.
 REPEATS: Final = 0.9
+SIMILAR: Final = 0.5
 
 
 def correlation_delay(input_: Array, output: Array, period_s: float) -> float | None:
@@ -75,7 +77,7 @@ def largest_correlation(a: Array, b: Array, longest: float = 0.5) -> tuple[float
     best = float(coefficient[top])
     own = np.interp(np.abs(lags - lags[top]), *_correlations(a, a), right=0.0)
     near = np.flatnonzero((coefficient > best - EQUAL_CORRELATION) | (
-        (own > REPEATS) & (coefficient > 0.5 * (1.0 + own) * best)))
+        (own > SIMILAR) & (coefficient > 0.5 * (1.0 + own) * best)))
     following = near[lags[near] >= 0]
     near = following if following.size else near
     k = int(near[np.argmin(np.abs(lags[near]))])

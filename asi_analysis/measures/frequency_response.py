@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage, signal
 
-from asi_analysis.arrays import Array, Complex
+from asi_analysis.arrays import Array, Complex, Mask
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.measures.correlation import correlation_delay
@@ -30,6 +31,11 @@ EXCITED_NEARBY: Final = 0.03
 NEARBY: Final = 0.01
 # and its coherence at least this.
 COHERENT: Final = 0.8
+# A line is not used if the input has it only in the outer fortieth of the record or so, where the
+# tapers are small: their slopes then have this multiple of their usual power.
+AT_EDGE: Final = 5.0
+# The gain of a first-order lag is that at rest, but for 2 %, so many times below its bandwidth.
+LOWEST: Final = 5.0
 # Largest number of lines of the spectrum of a step response.
 MOST_LINES: Final = 2**22
 # A reference of at least this many steps (PRBS) has a broad spectrum.
@@ -40,10 +46,9 @@ SINE: Final = 0.99
 SINE_LINES: Final = 3
 # A sine of fewer cycles may be a ramp or a staircase.
 FEWEST_CYCLES: Final = 0.6
-# An input rests at an end if it changes by less than this share of its range in that share of it.
-AT_REST: Final = 0.01
 # Samples that suffice to fit one of so few cycles.
 SINE_SAMPLES: Final = 2000
+Places = npt.NDArray[np.intp]
 TOO_POOR: Final = 'the input excites too few frequencies, or the output does not follow it'
 
 
@@ -132,30 +137,63 @@ def _sine_share(values: Array, cycles: int) -> float:
     return float(1.0 - (min(left) / np.std(values)) ** 2)
 
 
-def _rests(values: Array) -> bool:
-    """Return whether a signal of n samples hardly changes at its beginning and end."""
-    some = max(3, int(AT_REST * values.size))
-    return bool(max(np.ptp(values[:some]), np.ptp(values[-some:])) < AT_REST * np.ptp(values))
+class _Spectra(NamedTuple):
+    """At each line: power of the input, whether it lies inside the tapers, response, coherence."""
+
+    power: Array
+    inside: Mask
+    response: Complex
+    coherence: Array
 
 
-def _of_values(values: Array) -> Complex:
-    """Return the spectrum of a signal that repeats."""
-    return np.fft.rfft(values - values.mean())
+def _averaged(x: Array, y: Array) -> _Spectra:
+    """
+    Return the spectra of n changes of an input and an output.
+
+    Averaged over sine tapers (Riedel, Sidorenko, IEEE Trans. Signal Processing 43, 1995), which
+    widen a line to AVERAGED_LINES. Each is 0 at both ends of the record, where the signals need
+    not be at rest, and together they weight the rest of it evenly, as a chirp needs, which passes
+    each frequency only once. A response with a memory s also sees the slope of the taper:
+    w(t) h x = h (w x) + (s h) (w' x) + ..., so that it is fitted together with that of w' x.
+    """
+    place = np.pi * (np.arange(x.size) + 1.0) / (x.size + 1.0)
+    lines = x.size // 2 + 1
+    power, slopes, outputs = np.zeros((3, lines))
+    mixed, cross, cross_slope = np.zeros((3, lines), complex)
+    for turns in range(1, AVERAGED_LINES + 1):
+        taper, slope = np.sin(turns * place), turns * np.cos(turns * place)
+        u, s, v = (np.fft.rfft(each) for each in (taper * x, slope * x, taper * y))
+        power += np.abs(u) ** 2
+        slopes += np.abs(s) ** 2
+        outputs += np.abs(v) ** 2
+        mixed += np.conj(u) * s
+        cross += np.conj(u) * v
+        cross_slope += np.conj(s) * v
+    whole = np.maximum(power * slopes - np.abs(mixed) ** 2, 1e-12 * power * slopes) + 1e-300
+    response = (slopes * cross - mixed * cross_slope) / whole
+    memory = (power * cross_slope - np.conj(mixed) * cross) / whole
+    explained = (np.conj(response) * cross + np.conj(memory) * cross_slope).real
+    usual = (AVERAGED_LINES + 1) * (2 * AVERAGED_LINES + 1) / 6.0
+    return _Spectra(power, slopes < AT_EDGE * usual * power, response,
+                    explained / np.maximum(outputs, 1e-300))
 
 
-def _of_changes(values: Array) -> Complex:
-    """Return the spectrum of a signal that keeps its first and last value; 0 at frequency 0."""
-    changes = np.fft.rfft(np.diff(values, prepend=values[0]))
-    turns = np.arange(1, changes.size) / values.size
-    return np.append(0.0, changes[1:] / (1.0 - np.exp(-2j * np.pi * turns)))
+def _usable(found: _Spectra, size: int) -> Places:
+    """Return the lines at which the input is excited and the output coherent."""
+    lines = np.arange(found.power.size)
+    # That of the signal, not of its changes; a widened line is not that of one frequency.
+    power = found.power / np.sin(np.pi * np.maximum(lines, AVERAGED_LINES // 2) / size) ** 2
+    nearby = ndimage.maximum_filter1d(power, max(4 * AVERAGED_LINES, int(NEARBY * power.size)))
+    return np.flatnonzero((power > EXCITED * power.max()) & (power > EXCITED_NEARBY * nearby)
+                          & (found.coherence > COHERENT) & found.inside & (lines > 0))
 
 
 def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
     """
     Return the H1 estimate from n samples each; None with fewer than 3 usable frequencies.
 
-    Spectra of the whole run averaged over neighbouring lines: unlike Welch's segments this has no
-    bias for a chirp, which passes each frequency only once.
+    From tapers over the whole run (`_averaged`): unlike Welch's segments this has no bias for a
+    chirp, which passes each frequency only once.
     """
     valid = np.isfinite(input_) & np.isfinite(output)
     if valid.sum() < 3:
@@ -166,24 +204,16 @@ def estimate(input_: Array, output: Array, period_s: float) -> Estimate | None:
     # is taken back by it, and its phase is put back below. A sine would lose its whole cycles.
     late = 0 if is_sine(x) else max(round(correlation_delay(x, y, 1.0) or 0.0), 0)
     x, y = x[:x.size - late], y[late:]
-    frequency = np.fft.rfftfreq(x.size, period_s)
-    # A staircase does not end where it began: repeated, it has a step that has no delay.
-    spectrum = _of_changes if _rests(x) else _of_values
-    u, v = spectrum(x), spectrum(y)
-    power, output_power, cross = (
-        ndimage.uniform_filter1d(each, AVERAGED_LINES, mode='nearest')
-        for each in (np.abs(u)**2, np.abs(v)**2, np.conj(u) * v))
-    coherence = np.abs(cross)**2 / np.maximum(power * output_power, 1e-300)
-    nearby = ndimage.maximum_filter1d(power, max(4 * AVERAGED_LINES, int(NEARBY * power.size)))
-    # The average of the lowest lines includes the mean, which was subtracted.
-    trusted = ((power > EXCITED * power.max()) & (power > EXCITED_NEARBY * nearby)
-               & (coherence > COHERENT))
-    trusted[:AVERAGED_LINES // 2 + 1] = False
-    if trusted.sum() < 3:
+    # Their changes have no offset, and of a staircase no slope of the spectrum that would leak.
+    found = _averaged(np.diff(x), np.diff(y))
+    usable = _usable(found, x.size - 1)
+    if usable.size < 3:
         return None
     frequency, response, coherence = (
-        frequency[trusted], (cross[trusted] / power[trusted]), coherence[trusted])
-    limit = bandwidth(frequency, np.abs(response))
+        usable / ((x.size - 1) * period_s), found.response[usable], found.coherence[usable])
+    # One line alone may be below the level by noise.
+    limit = bandwidth(frequency, ndimage.median_filter(np.abs(response), AVERAGED_LINES,
+                                                       mode='nearest'))
     band = frequency <= (limit or frequency[-1])
     delay = late * period_s + phase_delay(frequency[band], response[band], coherence[band])
     turned = response * np.exp(-2j * np.pi * frequency * late * period_s)
@@ -229,7 +259,11 @@ def actuator_bandwidth(run: Run, name: str = 'force') -> float | None:
 
 
 class Bandwidth(NamedTuple):
-    """Bandwidth and delay of a loop; method: 'excitation', 'step', or None with the reason."""
+    """
+    Bandwidth and delay of a loop; method: 'excitation', 'step', or None.
+
+    reason: why there is no bandwidth, or why it is doubtful.
+    """
 
     bandwidth_hz: float | None
     method: str | None
@@ -266,10 +300,19 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
     response = estimate(run.reference_n, output, run.period_s)
     if response is None:
         return Bandwidth(None, None, None, lag, TOO_POOR)
-    reason = None if response.bandwidth_hz else (
+    reason = _low(response) if response.bandwidth_hz else (
         f'the gain does not fall by 3 dB up to {response.frequency_hz[-1]:.4g} Hz, the highest '
         'frequency that is excited')
     return Bandwidth(response.bandwidth_hz, 'excitation', response.delay_s, lag, reason)
+
+
+def _low(response: Estimate) -> str | None:
+    """Return a doubt if the lowest lines, whose gain is the level, are not at low frequencies."""
+    lowest = float(np.median(response.frequency_hz[:AVERAGED_LINES]))
+    if response.bandwidth_hz is None or response.bandwidth_hz > LOWEST * lowest:
+        return None
+    return (f'doubtful, as it is where the gain is 3 dB below that at {lowest:.4g} Hz, the lowest '
+            'frequencies that are excited: at rest it may be higher')
 
 
 class FrequencyResponse(Result):
