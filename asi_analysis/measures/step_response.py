@@ -17,6 +17,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run, hold_last
 from asi_analysis.errors import InputError
 from asi_analysis.measures.checks.recomputed import generated
+from asi_analysis.measures.correlation import correlation_delay
 from asi_analysis.measures.quality import (
     MARKING,
     Finding,
@@ -30,6 +31,10 @@ from asi_analysis.reporting.result import Pictures, Result, Table, number
 
 # The mean over this share of the time after a step, at its end, is the steady-state force.
 STEADY_SHARE: Final = 0.2
+# Largest movement in such a share of the time of a signal that is at rest, and of one whose
+# figures are doubtful, as shares of the step.
+AT_REST: Final = 0.01
+RESTLESS: Final = 0.05
 # Samples for which the reference is constant before and after a step, at least.
 FEWEST_SAMPLES: Final = 5
 # Samples of a jump at most; a longer one is a ramp.
@@ -59,6 +64,7 @@ class Step(NamedTuple):
     rise_shape: str | None              # monotone, dip, spike or creep
     notes: tuple[str, ...]
     overshoot_noise_percent: float | None = None    # overshoot that noise alone may give
+    restless_percent: float = 0.0   # movement left before the step or at its end, share of it
 
     @property
     def monotone_rise(self) -> bool | None:
@@ -113,7 +119,27 @@ def noise_level(values: Array) -> float:
 def _windowed_mean(values: Array) -> float:
     """Return the mean by a Hann window, which suppresses oscillations; nan if all are missing."""
     weights = signal.windows.hann(values.size + 2)[1:-1] * np.isfinite(values)
-    return float(np.sum(weights * np.nan_to_num(values)) / np.sum(weights))
+    total = float(np.sum(weights))
+    return float(np.sum(weights * np.nan_to_num(values))) / total if total else math.nan
+
+
+def _restless(values: Array, noise: float) -> tuple[float, float]:
+    """
+    Return how far a signal moves from its last fifth but one to its last, and has yet to move.
+
+    What is left is extrapolated from the last three fifths as an exponential, by as much as it
+    moved at most. 0 within the noise, a standard deviation.
+    """
+    tail = max(1, int(STEADY_SHARE * values.size))
+    earliest, earlier, last = (_windowed_mean(values[values.size - end - tail:values.size - end])
+                               for end in (2 * tail, tail, 0))
+    moved = last - earlier
+    if not abs(moved) > NOISE_MARGIN * noise * math.sqrt(3.0 / tail):
+        return 0.0, 0.0
+    before = earlier - earliest
+    ratio = moved / before if before else 0.0
+    # An oscillation turns back, and creep may move evenly: their end is not known.
+    return abs(moved), abs(moved) * (ratio / (1.0 - ratio) if 0.0 < ratio < 0.5 else 1.0)
 
 
 def _crossing(time: Array, share: Array, level: float) -> float | None:
@@ -173,23 +199,44 @@ def _smoothed(share: Array, noise: float) -> tuple[Array, float]:
             noise * float(np.sqrt(np.sum(kernel**2))))
 
 
-def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: str) -> Step:
+def _late(reference: Array, output: Array) -> float:
+    """Return by how many samples an output follows its reference, 0 if that is not clear."""
+    known = np.isfinite(output)
+    if not known.any():
+        return 0.0
+    places = np.arange(output.size)
+    whole = np.interp(places, places[known], output[known])
+    return max(correlation_delay(reference, whole, 1.0) or 0.0, 0.0)
+
+
+def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: str, late: float,
+             noise: float) -> Step:
+    """Return the response to a jump of a signal with noise that is `late`, in samples."""
     begin, before, after, end = jump_
     initial, final = float(reference[before]), float(reference[after])
     notes: list[str] = []
     start = float(time[after])
     nothing = Step(start, initial, final, None, None, None, None, None, None, ())
-    before_count = max(1, min(before + 1 - begin, int(STEADY_SHARE * (end - after))))
+    # All of the time before the first step is at rest, but not that after another.
+    calm = before + 1 - begin if begin == 0 else int(STEADY_SHARE * (before + 1 - begin))
+    if late >= min(end - after, before + 1 - begin if begin else math.inf):
+        return nothing._replace(notes=(
+            f'the {words} follows {1e3 * late * float(np.diff(time).mean()):.4g} ms late, after '
+            'the reference has changed again',))
+    before_count = max(1, min(calm, int(STEADY_SHARE * (end - after))))
     rest = output[before + 1 - before_count:before + 1]
     tail = max(1, int(STEADY_SHARE * (end - after)))
     if not (np.isfinite(rest).any() and np.isfinite(output[end - tail:end]).any()):
         return nothing._replace(notes=(f'the {words} is missing before the step or at its end',))
     low, high = float(np.nanmean(rest)), _windowed_mean(output[end - tail:end])
-    earlier = _windowed_mean(output[end - 2 * tail:end - tail])
     jump = final - initial
-    if abs(high - earlier) > 0.05 * abs(jump):
+    (moved_before, left_before), (moved, left) = (
+        _restless(output[begin:before + 1], noise), _restless(output[after:end], noise))
+    if moved > RESTLESS * abs(jump):
         return nothing._replace(notes=(f'the {words} has not come to rest before the reference '
                                        'changes again or the run ends',))
+    if moved_before > RESTLESS * abs(jump):
+        return nothing._replace(notes=(f'the {words} has not come to rest before the step',))
     error = final - high
     if (high - low) * jump <= 0.0 or abs(high - low) < 0.1 * abs(jump):
         return nothing._replace(steady_state_error_n=error,
@@ -197,8 +244,7 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     share = (output[after:end] - low) / (high - low)
     valid = np.isfinite(share)
     t, share = time[after:end][valid], share[valid]
-    noise = noise_level(share)
-    share, noise = _smoothed(share, noise)
+    share, noise = _smoothed(share, noise_level(share))
     ten, ninety = _crossing(t, share, 0.1), _crossing(t, share, 0.9)
     assert ten is not None and ninety is not None  # the mean of the end is 1
     shape = _shape(t, share, ten, ninety)
@@ -215,7 +261,8 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
         settled.append(None if moment is None else moment - start)
     return Step(start, initial, final, ninety - ten,
                 max(0.0, 100.0 * float(share.max() - 1.0)), settled[0], settled[1], error, shape,
-                tuple(notes), 100.0 * NOISE_MARGIN * noise)
+                tuple(notes), 100.0 * NOISE_MARGIN * noise,
+                100.0 * max(left_before, left) / abs(jump))
 
 
 def _settings(reference: Array) -> Array:
@@ -235,7 +282,11 @@ def step_responses(run: Run, signal: str | None = None) -> list[Step]:
     if run.reference_n is None or output is None:
         return []
     reference, words = _settings(run.reference_n), run.controlled()
-    return [_measure(run.time_s, reference, output, jump, words) for jump in _jumps(reference)]
+    jumps = _jumps(reference)
+    late = _late(reference, output) if len(jumps) > 1 else 0.0
+    noise = noise_level(output[np.isfinite(output)])
+    return [_measure(run.time_s, reference, output, jump, words, late, noise)
+            for jump in jumps]
 
 
 def largest_step(steps: Sequence[Step]) -> Step | None:
@@ -347,6 +398,10 @@ def _with_trust(step: Step, run: Run, name: str, found: Sequence[Finding],
     if moving.reliable and step.rise_time_s == 0.0:
         moving = Trust(False, False, f'the {name} has risen within the sample at which the '
                                      'reference jumps: are rows missing there?')
+    if moving.reliable and step.restless_percent > 100.0 * AT_REST:
+        reason = (f'the {name} still moves before the step or at its end, by '
+                  f'{step.restless_percent:.2g} % of the step')
+        moving = steady = Trust(False, False, reason)
     rise = moving
     if moving.reliable and (step.rise_time_s or np.inf) < RESOLVED * run.period_s:
         rise = Trust(False, False, f'the samples are {1e3 * run.period_s:.4g} ms apart')
