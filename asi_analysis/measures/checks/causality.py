@@ -154,6 +154,10 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
     for begin, jump, end, low, high, spread in steps_of(reference, values):
         change = high - low
         share = (values[jump - 1] - low) / change if change else 0.0
+        # Between other changes of the reference it may be at the next level by chance.
+        if max(np.ptp(reference[begin:jump]), np.ptp(reference[jump:end])) > BEFORE * abs(
+                reference[jump] - reference[jump - 1]):
+            continue
         if _there_before(reference, values, begin, jump, end):
             found.append((float(time[begin]), float(time[jump])))
         elif abs(change) > 3.0 * spread and share > BEFORE:

@@ -220,7 +220,13 @@ def _of_continuity(name: str, time: Array, reference: Array, values: Array
     """Yield the findings on jumps and frozen samples of a signal, apart from its spikes."""
     kept = ~spikes(values, reference, same_unit=True)
     time, reference, values = time[kept], reference[kept], values[kept]
-    for kind, parts in (('jump', jumps(time, reference, values)), ('frozen', frozen(values)),
+    jumped = jumps(time, reference, values)
+    # What a reference explains late is none, though it is later than the model remembers. Of one
+    # that only steps, the delay may be that of the jump itself.
+    if jumped and np.mean(np.diff(reference) != 0.0) > 0.5:
+        delayed = in_time(reference, values)
+        jumped = jumped if jumps(time[len(time) - len(delayed[1]):], *delayed) else []
+    for kind, parts in (('jump', jumped), ('frozen', frozen(values)),
                         ('interpolated', straight(values))):
         if parts:
             yield _of_parts(kind, name, time, parts)
