@@ -84,9 +84,10 @@ def unexplained(inputs: Array, values: Array) -> Mask:
     answer = 2.0 * signal.lfilter(factors[LAGS:], 1.0, inputs)
     # A response to the input that is missing, or twice as large as predicted, is no break.
     deviation = np.abs(alone - np.clip(alone, np.minimum(answer, 0.0), np.maximum(answer, 0.0)))
-    # After a single step any response is possible.
+    # After a single step any response is possible; an input that always steps has shown it.
     stepped = ndimage.maximum_filter1d(np.abs(inputs), LAGS + 1, origin=LAGS // 2) > SHARE
-    deviation[mirrored & stepped] = np.abs(values[mirrored & stepped])
+    mirrored &= stepped & (np.mean(stepped) < 0.5)
+    deviation[mirrored] = np.abs(values[mirrored])
     deviation[:LAGS] = 0.0
     return _large(deviation, 1.0)
 
