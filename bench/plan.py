@@ -18,7 +18,8 @@ from scipy.signal import chirp
 from asi_analysis import parallel
 from asi_analysis.arrays import Array
 from asi_analysis.errors import InputError, InputWarning
-from asi_analysis.gap.diagnose import Diagnosis, diagnose
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.experiment.plan import Limits, plan_courses
 from asi_common.parameter import Value
 from asi_examiner.joint import Machine, draw_machine, moved, with_suspect

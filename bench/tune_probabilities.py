@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from asi_analysis.gap.check.check import truth_of, unseal
-from asi_analysis.gap.diagnose import hypothesis_name
+from asi_analysis.gap.document import hypothesis_name
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
     Constants,

@@ -1,8 +1,9 @@
 """Sizes of effects with their intervals, and nominal parameters at a limit of their tolerance."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.probability import marginals
 from asi_analysis.gap.inference.uncertainty import (
@@ -15,11 +16,8 @@ from asi_analysis.gap.model.effects import DOTTED, Free, fields_of
 from asi_analysis.gap.model.static import zero_of
 from asi_analysis.gap.words import UNITS, unit_of, unit_of_free
 
-if TYPE_CHECKING:
-    from asi_analysis.gap.diagnose import Diagnosis
 
-
-def _holding(diagnosis: 'Diagnosis', name: str) -> tuple[Fitted, tuple[Free, ...]] | None:
+def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]] | None:
     """Return the fit of the best hypothesis that holds an effect, and the effect's parameters."""
     # Of an effect in several groups of channels: the one in which it is most probable.
     for weighed in sorted(diagnosis.groups, reverse=True,
@@ -29,12 +27,14 @@ def _holding(diagnosis: 'Diagnosis', name: str) -> tuple[Fitted, tuple[Free, ...
             own = diagnosis.best(weighed)
             chosen = own if name in own.names else max(
                 holding, key=lambda c: weighed.probability.get(c.names, 0.0))
-            return chosen.fitted, tuple(free for form in weighed.group.effects[name]
-                                        if form in chosen.variants for free in form.free)
+            frees = tuple(free for form in weighed.group.effects[name]
+                          if form in chosen.variants for free in form.free)
+            if frees:   # else it is seen here as another effect
+                return chosen.fitted, frees
     return None
 
 
-def sizes_of(diagnosis: 'Diagnosis', names: Sequence[str]) -> dict[str, dict[str, Any]]:
+def sizes_of(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of effects, by effect: values, intervals, units, limits."""
     known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
     sizes: dict[str, dict[str, Any]] = {}
@@ -67,7 +67,7 @@ def sizes_of(diagnosis: 'Diagnosis', names: Sequence[str]) -> dict[str, dict[str
     return sizes
 
 
-def limits_of(diagnosis: 'Diagnosis') -> list[dict[str, Any]]:
+def limits_of(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the nominal parameters at a limit of their tolerance in the fit of the verdict."""
     return [{'parameter': DOTTED[field], 'channel': weighed.group.channels[-1],
              'value': float(best.fitted.record[field]),

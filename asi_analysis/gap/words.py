@@ -58,6 +58,8 @@ SIZES: Final = {
     'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
     'drive_loss': 'share of the force lost', 'position_gain_error': 'share too much',
     'drive_delay': 'delay', 'drive_lag': 'time',
+    'servo_friction': 'sliding friction over the stiffness of the loop',
+    'servo_breakaway': 'share more to break away', 'servo_load_frequency': 'natural frequency',
     'gravity_sine': 'more of sin q', 'gravity_cosine': 'more of cos q',
     'deadband_centre': 'centre',
     'deadband_slope': 'share of the gain within',

@@ -3,7 +3,8 @@
 from typing import Any
 
 from asi_analysis.gap.baseline import Spread
-from asi_analysis.gap.diagnose import Diagnosis, hypothesis_name
+from asi_analysis.gap.diagnosis import Diagnosis
+from asi_analysis.gap.document import hypothesis_name
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.probability import ambiguity_set
 from asi_analysis.gap.inference.uncertainty import interval, likelihood

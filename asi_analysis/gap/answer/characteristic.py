@@ -7,7 +7,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array
 from asi_analysis.gap.course import passes, rates
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.model.group import Group
 from asi_analysis.gap.model.static import static_signals, zero_of
 from asi_analysis.reporting.result import Table

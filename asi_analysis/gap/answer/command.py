@@ -21,8 +21,9 @@ from asi_analysis.experiments.experiment import TABLES, parse_setting, read_para
 from asi_analysis.gap.answer.changes import changes
 from asi_analysis.gap.answer.characteristic import characteristic, line_of
 from asi_analysis.gap.answer.result import Gap
-from asi_analysis.gap.diagnose import Diagnosis, document, plain
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
+from asi_analysis.gap.diagnosis import Diagnosis
+from asi_analysis.gap.document import document, plain
 from asi_analysis.gap.model.effects import DOTTED
 from asi_analysis.gap.model.group import TOLERANCE
 from asi_analysis.gap.model.joint import OF_ANY_SIZE

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.diagnose import Diagnosis, improved_of
+from asi_analysis.gap.diagnosis import Diagnosis, improved_of
 from asi_analysis.gap.inference.uncertainty import LIMIT_95, draw, likelihood
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.loop.closed_loop import simulate_loop

@@ -18,7 +18,7 @@ from asi_analysis.gap.answer.joint_files import (
 )
 from asi_analysis.gap.answer.joint_model import JointModel, joint_model, node_parameters
 from asi_analysis.gap.answer.replay import replay_error
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.gap.words import percent
 from asi_common.files import write_text

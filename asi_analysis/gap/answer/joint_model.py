@@ -15,7 +15,7 @@ from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording

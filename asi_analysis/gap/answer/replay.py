@@ -8,7 +8,7 @@ import numpy as np
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.joint_model import JointModel
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.prepare import Recording
 
 # A motion that a force makes drifts from the recorded one: it is played in pieces from measured

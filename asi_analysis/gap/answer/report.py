@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.export import write_export
 from asi_analysis.gap.answer.result import LEAST_PROBABILITY, tables
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
 from asi_analysis.gap.model.predict import measured, predict
 from asi_analysis.gap.words import in_words, sentences

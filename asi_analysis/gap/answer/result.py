@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.diagnose import Diagnosis
+from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.model.effects import NO_GAP, UNKNOWN
 from asi_analysis.gap.words import (
     between,

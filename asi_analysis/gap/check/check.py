@@ -23,7 +23,9 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer import pictures
 from asi_analysis.gap.answer.command import nominal_model
-from asi_analysis.gap.diagnose import Diagnosis, diagnose, document, main_shrink, plain
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.diagnosis import Diagnosis
+from asi_analysis.gap.document import document, main_shrink, plain
 from asi_analysis.gap.inference.hypotheses import evidence_of
 from asi_analysis.gap.inference.probability import as_plain
 from asi_analysis.gap.model.effects import (

@@ -1,7 +1,8 @@
 """
-What is no effect of its own: a tolerated gain of the force sensor, and a constant force in a gap.
+What is no effect of its own, though it is free as one in block-wise fits.
 
-In block-wise fits both are free only as effects.
+A tolerated gain of the force sensor, a constant force in a gap, a delay or lag of less than a
+sample.
 """
 
 from scipy.stats import norm
@@ -17,6 +18,7 @@ GAIN = 'sensor_gain'
 SENSOR_GAIN = 'force_sensor_gain'
 GAIN_ERROR = 'sensor_gain_error'   # of the block-wise model, relative to the nominal gain
 DISTURBANCE = 'disturbance_force'
+LATE = {'transport_delay': 'command_delay', 'valve_lag': 'valve_lag'}   # and their time
 # Fields of a constant one: of the block-wise model and of the simulator.
 CONSTANT = frozenset(('disturbance', 'load_external_force'))
 
@@ -49,6 +51,20 @@ def with_gap_centre(weighed: Weighed) -> Weighed:
             force = _constant_force(candidate)
             if force is not None and abs(force) <= stiffness * furthest:
                 weighed = _moved(weighed, names, DISTURBANCE, 1.0)
+    return weighed
+
+
+def without_sampling_delay(weighed: Weighed) -> Weighed:
+    """
+    Return a group of a joint in which a delay or lag of less than a sample is no effect.
+
+    A controller holds its command, and time stamps may be off by as much.
+    """
+    period = max(recording.period_s for recording in weighed.group.recordings)
+    for effect, field in LATE.items():
+        for names, candidate in weighed.candidates.items():
+            if effect in names and candidate.fitted.values.get(field, period) < period:
+                weighed = _moved(weighed, names, effect, 1.0)
     return weighed
 
 

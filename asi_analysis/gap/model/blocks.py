@@ -38,6 +38,14 @@ from asi_actuator.model.valve_hysteresis import (
 )
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
+from asi_analysis.gap.model.servo_motion import (
+    LOAD,
+    POSITION,
+    STATES,
+    disturbed,
+    servo_lags,
+    servo_step,
+)
 from asi_common.jit import FULL, LINEAR, jit
 
 EFFECT_FIELDS = (
@@ -55,6 +63,13 @@ EFFECT_FIELDS = (
     'valve_lag',                # s, of two lags in series
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
+    'servo_lead',               # s, of a servo: of its damping, as far as it acts on the reference
+    'servo_friction',           # m, its sliding friction over the stiffness of its loop
+    'servo_breakaway',          # breakaway over sliding friction, less one
+    'servo_stribeck',           # m/s
+    'servo_integral',           # 1/s, the rate at which its integral action takes over a force
+    'servo_load_frequency',     # Hz, of the load on its compliance; 0: the load is rigid
+    'servo_load_damping',       # damping ratio of the load on its compliance
     'orifice_deadband',         # m, half width
     'orifice_bias',             # m
     'force_limit',              # N, 0: none
@@ -192,6 +207,8 @@ def valve(command, p, e, period, count, out):
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
     behind = valve_position(rest, p)
+    serves, lags, servo = disturbed(e), servo_lags(e, h), np.zeros(STATES)
+    servo[POSITION] = servo[LOAD] = rest
     for k in range(out.shape[0]):
         position = behind if e.loop_behind > 0.5 else valve_position(pipe, p)
         if e.valve_limit > 0.0:
@@ -219,7 +236,10 @@ def valve(command, p, e, period, count, out):
                 coil = mean + (coil - mean) * coil_decay
                 # A servo has no coil: its command is held over the sub-step.
                 drawn = 0.5 * (coil_before + coil) if coil_decay > 0.0 else coil
-                pipe, pipe_rate = second_order_step(pipe, pipe_rate, drawn, flexure)
+                if serves:
+                    pipe = servo_step(servo, drawn, flexure, lags, e)
+                else:
+                    pipe, pipe_rate = second_order_step(pipe, pipe_rate, drawn, flexure)
             else:
                 pipe = lagged
                 if p.valve_flexure_model == LINEAR:

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from asi_analysis.gap.model import forms, simulator
+from asi_analysis.gap.model.blocks import EFFECT_FIELDS
 from asi_analysis.gap.model.effects import EFFECTS, MOTIONS, Effects, Free, Variant, freed, in_each
 from asi_analysis.gap.model.predict import for_recordings, measured, predict, propagated_noise
 from asi_analysis.gap.model.start import (
@@ -450,17 +451,19 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
     return shows & set(group.channels)
 
 
+OF_SERVO = ('servo_',)
+OF_MECHANICS = ('load_offset', 'load_weight', 'drive_', 'position_gain', 'gravity_', 'swing_',
+                'damping_share', 'contact_time')
+
+
 def _channels_by_field() -> dict[str, set[str]]:
     """Return the channels that each parameter acts on, by field."""
-    acts_on: dict[str, set[str]] = {'load_offset': {'load'}, 'drive_hold': {'load'},
-                                  'drive_delay': {'load'}, 'drive_lag': {'load'},
-                                  'drive_lag_split': {'load'}, 'drive_loss': {'load'},
-                                  'position_gain_error': {'load'},
-                                  'gravity_sine': {'load'}, 'gravity_cosine': {'load'},
-                                  'swing_cosine': {'load'}, 'swing_sine': {'load'},
-                                  'damping_share': {'load'},
-                                  'contact_time': {'load'}, 'load_weight': {'load'},
-                                  'command_phase': {'valve'}, 'corner': {'valve', 'force'}}
+    acts_on: dict[str, set[str]] = {'command_phase': {'valve'}, 'corner': {'valve', 'force'}}
+    for name in EFFECT_FIELDS:   # of a joint alone
+        if name.startswith(OF_SERVO):
+            acts_on[name] = {'valve'}
+        elif name.startswith(OF_MECHANICS):
+            acts_on[name] = {'load'}
     for channel, names in UNCERTAIN.items():
         for name in names:
             acts_on.setdefault(name, set()).add(channel)

@@ -47,10 +47,13 @@ from asi_analysis.gap.model.rattling import (
 from asi_analysis.gap.model.servo import (
     Servo,
     error_of,
+    forms_of,
     hidden_servo,
+    lead_of,
     second_order,
     servo_of,
     slow_servo,
+    swapped,
     thinned,
     with_servo,
 )
@@ -274,8 +277,10 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         nominal['valve_flexure_damping_ratio'] = servo.damping
         dynamics = tuple(
             Free(f'valve_flexure_{name}', *SERVO_BOUNDS, tuple(
-                getattr(each, own) / getattr(servo, own) for each in servos), 'nominal', anew=True)
-            for name, own in (('natural_frequency', 'pulsation'), ('damping_ratio', 'damping')))
+                getattr(each, own) / getattr(servo, own) for each in (*servos, *swapped(servos))),
+                 'nominal', anew=True)
+            for name, own in (('natural_frequency', 'pulsation'), ('damping_ratio', 'damping'))
+        ) + (lead_of(servo),)
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:
@@ -283,11 +288,15 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     # The gain was identified without a lag: with one it is biased towards zero.
     low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
-    own = {'backlash': (LOST_MOTION,)} | ({'command_quantisation': (stepping(steps),)}
-                                          if steps else {})
+    # If the motion is too slow to show the servo's dynamics, dry friction in its loop is a play.
+    own: dict[str, tuple[Variant, ...]] = {
+        'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,)}
+    own |= {'command_quantisation': (stepping(steps),)} if steps else {}
+    own |= forms_of(servos[0], recordings) if dynamics else {}
     effects = {name: own[name] if name in own and not proportional else tuple(
         form._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
-                                 for free in form.free), needs=() if dynamics else form.needs)
+                                 for free in form.free),
+                      needs=tuple(each for each in form.needs if each != 'load_mass'))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),

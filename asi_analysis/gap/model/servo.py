@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from asi_analysis.arrays import Array
+from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import jit
@@ -51,6 +52,15 @@ LAG_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
 LAG_SPLIT: Final = 0.3
 LEAST_SPLIT: Final = 0.05
 FOLLOWED: Final = 3
+# Of dry friction, over the stiffness of the loop, as a share of the motion; of the Stribeck
+# velocity, as a share of the fastest motion; of the frequency of a load on its compliance, as a
+# multiple of the servo's, and its damping ratio: more would be a lag of two poles.
+FRICTIONS: Final = (0.003, 0.01, 0.03, 0.1)
+STRIBECKS: Final = (0.02, 0.1, 0.5)
+LOAD_FREQUENCIES: Final = (0.6, 1.2, 2.5, 5.0)
+LOAD_DAMPINGS: Final = (0.0, 0.05, 0.4)
+INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
+MOST_LEAD: Final = 1.5   # of a servo, as a multiple of its damping over its stiffness
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
@@ -256,6 +266,44 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
         starts.append(one_pole._replace(split=LEAST_SPLIT))
     free = ('pulsation', 'damping', 'lag', *['split'] * bool(split))
     return min((_fitted(each, free, recordings) for each in starts), key=power)
+
+
+def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[Variant, ...]]:
+    """Return the forms of the effects within a servo of second order, by name."""
+    amplitude = max(float(np.ptp(r.valve_position[r.valid])) for r in recordings
+                    if r.valve_position is not None)
+    speed = servo.pulsation * amplitude
+    low, start, high = STRIBECKS
+    friction = (
+        Free('servo_friction', 0.0, 1.0, tuple(each * amplitude for each in FRICTIONS), '', 'm'),
+        Free('servo_integral', 0.0, INTEGRALS[-1] * servo.pulsation, tuple(
+            each * servo.pulsation for each in INTEGRALS[:-1]), '', '1/s'))
+    sticking = (Free('servo_breakaway', 0.25, 6.0, (1.0,)),
+                Free('servo_stribeck', low * speed, high * speed, (start * speed,), '', 'm/s'))
+    frequency = servo.pulsation / (2.0 * math.pi)
+    compliance = (
+        Free('servo_load_frequency', 0.3 * frequency, 20.0 * frequency, tuple(
+            each * frequency for each in LOAD_FREQUENCIES), '', 'Hz'),
+        Free('servo_load_damping', LOAD_DAMPINGS[0], LOAD_DAMPINGS[-1], (LOAD_DAMPINGS[1],)))
+    return {name: (Variant(free, ('valve',)),) for name, free in (
+        ('coulomb_friction', friction), ('stiction', (*friction, *sticking)),
+        ('load_compliance', compliance))}
+
+
+def swapped(servos: Sequence[Servo]) -> list[Servo]:
+    """
+    Return servos of second order with the poles of the two lags in series with each that has them.
+
+    Then the load on its compliance may be what has the poles of that servo.
+    """
+    return [Servo(1.0 / (each.lag * math.sqrt(each.split * (1.0 - each.split))),
+                  0.5 / math.sqrt(each.split * (1.0 - each.split)))
+            for each in servos if each.lag > 0.0 and each.split >= LEAST_SPLIT]
+
+
+def lead_of(servo: Servo) -> Free:
+    """Return the lead of a servo whose damping may act on the reference, too."""
+    return Free('servo_lead', 0.0, MOST_LEAD * 2.0 * servo.damping / servo.pulsation, (0.0,))
 
 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:

@@ -18,7 +18,7 @@ from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.result import Gap
 from asi_analysis.gap.baseline import healthy_of
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
-from asi_analysis.gap.diagnose import improved_of
+from asi_analysis.gap.diagnosis import improved_of
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.model.effects import UNKNOWN
 

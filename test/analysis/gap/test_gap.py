@@ -20,7 +20,9 @@ from asi_analysis.gap.actuator import actuator_groups
 from asi_analysis.gap.answer.command import nominal_model
 from asi_analysis.gap.check import check
 from asi_analysis.gap.check.check import score, truth_of
-from asi_analysis.gap.diagnose import diagnose, document, improved_of, plain
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.diagnosis import improved_of
+from asi_analysis.gap.document import document, plain
 from asi_analysis.gap.findings.shrink import _interval
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.fit import (

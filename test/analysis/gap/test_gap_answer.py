@@ -20,7 +20,8 @@ from asi_analysis.gap.answer.command import (
     parse_tolerances,
     recorded_model,
 )
-from asi_analysis.gap.diagnose import diagnose, document, plain
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document, plain
 from asi_analysis.gap.experiment.next_experiment import suggestion
 from asi_analysis.gap.findings import localisation
 from asi_analysis.gap.findings.localisation import by_block, explained

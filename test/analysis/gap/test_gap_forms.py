@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 
 PERIOD_S, SUB_STEPS = 1e-3, 50
 MASS, STIFFNESS, DAMPER = 2.0, 1e5, 150.0       # kg, N/m, N s/m: of the load

@@ -12,7 +12,8 @@ from test_gap_simulator import recorded as simulated
 from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 
 SERVO = {'signals': {'reference': 'rad', 'position': 'rad'}}
 

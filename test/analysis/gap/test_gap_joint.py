@@ -14,7 +14,8 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer import report
 from asi_analysis.gap.answer.command import diagnose as asked
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 from asi_analysis.gap.experiment.next_motion import CATALOGUE, choose_motion, simulated
 from asi_analysis.gap.inference.initial_guesses import _pulse
 from asi_analysis.gap.model.blocks import PLANT_DTYPE, swing

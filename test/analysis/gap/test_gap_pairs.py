@@ -3,7 +3,8 @@
 import pytest
 from test_gap_simulator import recorded
 
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 
 
 @pytest.mark.slow

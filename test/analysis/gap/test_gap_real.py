@@ -11,7 +11,8 @@ from scipy.io import loadmat
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.export import write_export
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 
 DATA = Path(os.environ.get('ASI_DATA', Path(__file__).parents[4] / 'shared' / 'data'))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f'no measured recordings at {DATA}')

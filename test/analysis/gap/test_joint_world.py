@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from asi_analysis.gap.check.check import is_truth, run_cases, score, unseal
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 from asi_examiner.bags import write_cases
 from asi_examiner.joint import FOLLOWING, FORCED, OF_A_SERVO, OUTSIDE, VISIBLE, draw_joint
 

@@ -13,7 +13,9 @@ from asi_actuator.model.actuator import simulate
 from asi_actuator.parameters import as_record
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.diagnose import diagnose, document, improved_of
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.diagnosis import improved_of
+from asi_analysis.gap.document import document
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Best, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import uneven_delay

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from asi_actuator.parameters import as_record
-from asi_analysis.gap.diagnose import diagnose, document
+from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.document import document
 from asi_common.record import field_name
 from asi_examiner.own import CHANGED, VISIBLE, draw_own, truth
 

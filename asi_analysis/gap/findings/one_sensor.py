@@ -1,0 +1,65 @@
+"""
+What the sensor of a joint's force does is seen twice if the command was recorded, too.
+
+From the force to the motion, and from the command to the force, where it looks like a fault of
+the drive.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
+from asi_analysis.gap.inference.probability import Names, marginals
+from asi_analysis.gap.model.blocks import drift, parts
+from asi_analysis.gap.model.effects import UNKNOWN
+
+ALIKE: Final = 1.5   # ratio of two lags below which they may be one
+
+
+def with_one_sensor(weighed: Sequence[Weighed]) -> list[Weighed]:
+    """Return the groups of a joint; of its drive, what its sensor explains is the sensor's."""
+    if [each.group.channels for each in weighed] != [('valve',), ('load',)]:
+        return list(weighed)
+    drive, load = weighed
+    for of_drive, of_sensor, alike in (('valve_lag', 'sensor_lag', _lag_alike),
+                                       ('valve_bias', 'sensor_drift', _drift_alike)):
+        drive = _renamed(drive, of_drive, of_sensor, load, alike)
+    return [drive, load]
+
+
+def _renamed(drive: Weighed, of_drive: str, of_sensor: str, load: Weighed,
+             alike: Callable[[Candidate, Candidate], bool]) -> Weighed:
+    """Return the drive whose fault is, with the sensor's probability, that of the sensor."""
+    share = marginals(load.probability)[of_sensor]
+    seen = [each for names, each in load.candidates.items() if of_sensor in names]
+    if not seen:
+        return drive
+    sensor = max(seen, key=lambda each: load.probability.get(each.names, 0.0))
+    chance, candidates = dict(drive.probability), dict(drive.candidates)
+    for names, candidate in drive.candidates.items():
+        if of_drive not in names or not alike(candidate, sensor):
+            continue
+        for each in (names, tuple(sorted((*names, UNKNOWN)))):
+            other: Names = tuple(sorted({*each, of_sensor} - {of_drive}))
+            moved = share * chance.get(each, 0.0)
+            chance[each] = chance.get(each, 0.0) - moved
+            chance[other] = chance.get(other, 0.0) + moved
+        own = tuple(sorted({*names, of_sensor} - {of_drive}))
+        candidates[own] = candidate._replace(names=own)
+    return drive._replace(probability=chance, candidates=candidates)
+
+
+def _lag_alike(drive: Candidate, sensor: Candidate) -> bool:
+    """Return whether the lag of a drive may be that of the sensor."""
+    lags = drive.fitted.values.get('valve_lag', 0.0), sensor.fitted.values['sensor_lag']
+    return max(lags) < ALIKE * min(lags)
+
+
+def _drift_alike(drive: Candidate, sensor: Candidate) -> bool:
+    """Return whether the bias of a drive is no more than the drift of the sensor."""
+    p, seen = drive.fitted.record, sensor.fitted
+    most = max(float(np.abs(drift(r.time_s, parts(seen.record)[1])).max())
+               for r in seen.problem.group.recordings)
+    return abs(float(p['command_bias'] * p['valve_characteristic_gain'])) <= most
