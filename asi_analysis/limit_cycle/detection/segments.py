@@ -62,6 +62,36 @@ def active_part(values: Array) -> slice:
     return slice(first, end)
 
 
+def middle_rests(values: Array, cycle: float) -> list[int]:
+    """
+    Return the samples in the middle of each rest between two motions; cycle: in samples.
+
+    The longest stretch is tried in which each cycle hardly moves; seen from its middle it must be
+    a rest on either side. Then what lies before and after that rest.
+    """
+    part = active_part(values)
+    values, size = values[part], int(max(cycle, 2 * SHORTEST_REST))
+    if len(values) < 3 * size:
+        return []
+    centred = values - values.mean()
+    total, power = (np.concatenate([[0.0], np.cumsum(each)]) for each in (centred, centred**2))
+    mean = (total[size:] - total[:-size]) / size
+    spread = np.sqrt(np.maximum((power[size:] - power[:-size]) / size - mean**2, 0.0))
+    quiet = np.concatenate([[False], spread < np.percentile(spread, 90) / MOVES, [False]])
+    first, last = np.flatnonzero(np.diff(quiet.astype(int))).reshape(-1, 2).T
+    if not len(first):
+        return []
+    longest = int(np.argmax(last - first))
+    middle = int(first[longest] + last[longest] + size) // 2
+    before, after = _rest(values[:middle][::-1]), _rest(values[middle:])
+    if not before or not after:
+        return []
+    later = middle + after
+    found = [*middle_rests(values[:middle - before], cycle), middle,
+             *(later + each for each in middle_rests(values[later:], cycle))]
+    return [part.start + each for each in found]
+
+
 def _rest(values: Array) -> int:
     """
     Return the number of samples at rest at the beginning: of white noise, or constant.

@@ -1,48 +1,76 @@
 """
-Surrogate test: whether an envelope is steadier than that of noise with the same spectrum.
+Surrogate tests: how a motion differs from noise with the same spectrum.
 
-The surrogates are Gaussian noise of that spectrum (Theiler et al., Physica D 58, 1992).
+Its envelope is steadier if it is a cycle. Its slope is more often near zero or steep if a valve
+rests and slips, however irregularly. The surrogates are Gaussian noise of that spectrum (Theiler
+et al., Physica D 58, 1992).
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from asi_analysis.arrays import Array
+from asi_analysis.limit_cycle.detection.resolution import quantisation
 from asi_analysis.measures.sinusoids.noise import autoregression, surrogates
 from asi_analysis.measures.sinusoids.sinusoid import analytic_signal, on_grid
 
 SURROGATES: Final = 200
 FIRST: Final = 40
 CLEARLY_NOISE: Final = 1.5
+# Time over which the slope is taken, in cycles.
+SLOPE: Final = 0.1
 # Samples that are compared with surrogates; in a longer record in WINDOWS windows.
 COMPARED: Final = 8192
 WINDOWS: Final = 4
 
 
-def steadiness(t: Array, y: Array, frequency: float) -> float:
-    """
-    Return how much steadier the envelope is than those of the surrogates.
+class Difference(NamedTuple):
+    """How much steadier the envelope is, and how much more the motion jumps than noise does."""
 
-    In standard deviations of the surrogates. FIRST of them suffice where it is clearly noise.
+    steadier: float
+    jumps: float
+
+
+def difference(t: Array, y: Array, frequency: float) -> Difference:
+    """
+    Return how a motion differs from the surrogates, in their standard deviations.
+
+    FIRST of them suffice where it is clearly noise. The surrogates are rounded like the record.
+    White noise of any distribution jumps no more than noise.
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
+    step, offset = quantisation(even), even.mean() - even[0]
     windows = _windows(even)
     skip = min(int(0.5 / (frequency * period)), windows.shape[1] // 8)
-    own = _evenness(windows, period, frequency, skip)
-    others: list[float] = []
+    hop = max(1, round(SLOPE / (frequency * period)))
+    own = _evenness(windows, period, frequency, skip), _jumps(windows, hop)
+    others: list[tuple[float, float]] = []
     for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
+        if step:
+            rows = even[0] + np.round((rows + offset) / step) * step
         # Each at its own highest peak, like the record, whose peak can be a random burst.
-        others.append(_evenness(rows, period, _highest_peak(rows, period), skip))
-        if len(others) == FIRST and _deviation(own, others) < CLEARLY_NOISE:
+        others.append((_evenness(rows, period, _highest_peak(rows, period), skip),
+                       _jumps(rows, hop)))
+        if len(others) == FIRST and max(_deviations(own, others)) < CLEARLY_NOISE:
             break
-    return _deviation(own, others)
+    steadier, jumps = _deviations(own, others)
+    return Difference(steadier, jumps if len(model.coefficients) else 0.0)
 
 
-def _deviation(own: float, others: list[float]) -> float:
-    """Return the distance from the mean of the others, in their standard deviations."""
-    return (own - float(np.mean(others))) / max(float(np.std(others)), 1e-12)
+def _deviations(own: tuple[float, float], others: list[tuple[float, float]]) -> list[float]:
+    """Return the distances from the means of the others, in their standard deviations."""
+    table = np.array(others)
+    return list((own - table.mean(0)) / np.maximum(table.std(0), 1e-12))
+
+
+def _jumps(windows: Array, hop: int) -> float:
+    """Return the kurtosis of the steps between samples `hop` apart; large if few are steep."""
+    if hop >= windows.shape[1]:
+        return 0.0
+    steps = windows[:, hop:] - windows[:, :-hop]
+    return float(np.mean(steps ** 4) / max(float(np.mean(steps ** 2)), 1e-300) ** 2)
 
 
 def _windows(even: Array) -> Array:

@@ -30,7 +30,7 @@ from asi_analysis.limit_cycle.detection.pieces import (
     remaining_line,
 )
 from asi_analysis.limit_cycle.detection.resolution import exceeds_rounding, one_of_each
-from asi_analysis.limit_cycle.detection.steadiness import steadiness
+from asi_analysis.limit_cycle.detection.steadiness import difference
 from asi_analysis.measures.oscillation import MOST_DECAY
 from asi_analysis.measures.quality import check_size, check_time
 from asi_analysis.measures.sinusoids.record import reduce
@@ -131,7 +131,8 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     check_size(run)
     check_time(time_s, run.source)
     cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]
-    cuts = seg.reference_cuts(run.time_s, run.reference_n, cycle)
+    cuts = sorted([*seg.reference_cuts(run.time_s, run.reference_n, cycle),
+                   *time_s[seg.middle_rests(values, _samples_a_cycle(time_s, values))]])
     edges = [time_s[0], *[c for c in cuts if time_s[0] < c < time_s[-1]], np.inf]
     found: list[Segment] = []
     for start, end in zip(edges[:-1], edges[1:], strict=True):
@@ -149,6 +150,12 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
         found += _judge_stretch(run, chosen, time_s, values, slice(first, last),
                                 frequency if whole else None)
     return merged(sorted(found, key=lambda segment: segment.start_s))
+
+
+def _samples_a_cycle(time_s: Array, values: Array) -> float:
+    """Return the samples of a cycle, in the differences of the values: a level has none."""
+    frequency = dominant_frequency(time_s[1:], np.diff(values))
+    return float(1.0 / (frequency * np.median(np.diff(time_s)))) if frequency > 0.0 else 0.0
 
 
 def merged(found: list[Segment]) -> list[Segment]:
@@ -428,7 +435,7 @@ def _judge_noise(run: Run, name: str, t: Array, y: Array, frequency: float
     """
     if decay := _steady_decay(t, y, frequency):
         return *decay, figures_of(described(t, y, frequency, 0.0))
-    steadier = steadiness(t, y, frequency)
+    steadier, jumps = difference(t, y, frequency)
     if steadier > LEAST_STEADINESS:
         piece = described(t, y, frequency, 0.0)
         if _is_regular(piece) and not _harmonics(run, name, piece):
@@ -440,7 +447,12 @@ def _judge_noise(run: Run, name: str, t: Array, y: Array, frequency: float
         return verdict, confidence, (
             f'irregular phase, but its envelope is {steadier:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
-    chance = float(np.clip(stats.norm.sf(steadier - 3.0), 0.0, 0.99))
+    chance = float(np.clip(stats.norm.sf(max(steadier, jumps) - 3.0), 0.0, 0.99))
+    if chance < 0.5 and jumps > steadier:
+        return 'unsteady', 0.5, (
+            'irregular, but no noise of a linear process: it rests and jumps, its slope is '
+            f'{jumps:.1f} standard deviations more uneven than that of noise with the same '
+            'spectrum'), {}
     if chance < 0.5:
         return 'unsteady', 0.5, (
             f'between noise and a cycle: its envelope is {steadier:.1f} standard deviations '

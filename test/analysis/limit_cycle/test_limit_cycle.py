@@ -317,6 +317,60 @@ def test_a_rest_before_or_after_a_short_cycle_changes_nothing(noise):
         assert segment.amplitude == pytest.approx(alone.amplitude, rel=0.001)
 
 
+@pytest.mark.parametrize('noise, level', [(0.0, 0.0), (0.02, 0.0), (0.02, 5.0), (0.0, 5.0)])
+def test_a_rest_in_the_middle_divides_the_record(noise, level):
+    t = np.arange(1000) / 100.0
+    wave = np.cos(2.0 * np.pi * t) + 0.1 * np.cos(6.0 * np.pi * t)
+    random = np.random.default_rng(1)
+    cycle = wave + 0.01 * random.standard_normal(t.size)
+    rest = level + noise * random.standard_normal(400)
+    values = np.concatenate([cycle[:620], rest, cycle[620:]])
+    first, middle, last = judge_run(undriven(np.arange(1400) / 100.0, values))
+    assert middle.why == 'the signal does not move'
+    assert middle.start_s == pytest.approx(6.2, abs=0.02)
+    assert middle.end_s == pytest.approx(10.19, abs=0.02)
+    for segment in (first, last):
+        assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
+        assert segment.frequency_hz == pytest.approx(1.0, abs=0.01)
+
+
+def sticking_loop(random, duration=80.0, period=0.02):
+    """Return output and command of a PI loop whose valve sticks and whose sensor is noisy."""
+    delay = [0.0] * 10
+    level, total, valve, before = 0.3, 0.0, 0.0, 0.0
+    sticks, direction, rows = True, 0.0, []
+    for _ in range(int((40.0 + duration) / period)):
+        measured = level + 0.01 * random.standard_normal()
+        total -= 3.0 * measured * period
+        command = total - 1.2 * measured
+        if sticks and abs(command - valve) > 0.15:
+            sticks, direction = False, np.sign(command - valve)
+        sticks = sticks or (command - before) * direction <= 0.0
+        valve = valve if sticks else command - 0.1 * direction
+        before = command
+        rows.append((measured, command))
+        level += 0.04 * (delay.pop(0) - level)
+        delay.append(valve)
+    return np.array(rows[-int(duration / period):]).T
+
+
+def test_a_sticking_loop_in_noise_is_not_surely_noise():
+    for seed in range(3):
+        output, command = sticking_loop(np.random.default_rng(seed))
+        segments = judge_run(undriven(0.02 * np.arange(output.size), output, command))
+        for segment in segments:
+            assert segment.verdict != 'noise' or segment.confidence < 0.9
+
+
+def test_coarsely_rounded_noise_and_spikes_in_noise_are_noise():
+    random = np.random.default_rng(1)
+    t = 0.01 * np.arange(1500)
+    white = random.standard_normal(t.size)
+    slow = signal.lfilter([1.0], [1.0, -0.9], white)
+    for values in (np.round(0.5 * white), np.round(0.5 * slow), white + 30.0 * (t % 5.0 == 3.0)):
+        assert {segment.verdict for segment in judge_run(undriven(t, values))} == {'noise'}
+
+
 @pytest.mark.parametrize('size', [0.9, 0.3])
 def test_a_second_harmonic_larger_than_the_fundamental_is_none(size):
     t = np.arange(2000) / 100.0
