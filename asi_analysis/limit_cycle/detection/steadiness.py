@@ -26,18 +26,22 @@ WINDOWS: Final = 4
 
 
 class Difference(NamedTuple):
-    """How much steadier the envelope is, and how much more the motion jumps than noise does."""
+    """
+    How a motion differs from the surrogates, in their standard deviations.
+
+    steadier: of the envelope; irregular: how much more the motion jumps, or its envelope varies.
+    """
 
     steadier: float
-    jumps: float
+    irregular: float
 
 
 def difference(t: Array, y: Array, frequency: float) -> Difference:
     """
-    Return how a motion differs from the surrogates, in their standard deviations.
+    Return how a motion differs from the surrogates.
 
     FIRST of them suffice where it is clearly noise. The surrogates are rounded like the record.
-    White noise of any distribution jumps no more than noise.
+    White noise of any distribution is noise: `irregular` is 0.
     """
     even, period = on_grid(t, y)
     model = autoregression(even - even.mean(), 1)
@@ -45,18 +49,20 @@ def difference(t: Array, y: Array, frequency: float) -> Difference:
     windows = _windows(even)
     skip = min(int(0.5 / (frequency * period)), windows.shape[1] // 8)
     hop = max(1, round(SLOPE / (frequency * period)))
-    own = _evenness(windows, period, frequency, skip), _jumps(windows, hop)
+    coloured = len(model.coefficients) > 0
+    own = (_evenness(windows, period, frequency, skip),
+           _jumps(windows, hop) if coloured else 0.0)
     others: list[tuple[float, float]] = []
     for rows in surrogates(model, windows.shape, SURROGATES, len(even)):
         if step:
             rows = even[0] + np.round((rows + offset) / step) * step
         # Each at its own highest peak, like the record, whose peak can be a random burst.
         others.append((_evenness(rows, period, _highest_peak(rows, period), skip),
-                       _jumps(rows, hop)))
-        if len(others) == FIRST and max(_deviations(own, others)) < CLEARLY_NOISE:
+                       _jumps(rows, hop) if coloured else 0.0))
+        if len(others) == FIRST and max(np.abs(_deviations(own, others))) < CLEARLY_NOISE:
             break
     steadier, jumps = _deviations(own, others)
-    return Difference(steadier, jumps if len(model.coefficients) else 0.0)
+    return Difference(steadier, max(jumps, -steadier) if coloured else 0.0)
 
 
 def _deviations(own: tuple[float, float], others: list[tuple[float, float]]) -> list[float]:

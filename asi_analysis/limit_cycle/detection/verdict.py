@@ -435,7 +435,7 @@ def _judge_noise(run: Run, name: str, t: Array, y: Array, frequency: float
     """
     if decay := _steady_decay(t, y, frequency):
         return *decay, figures_of(described(t, y, frequency, 0.0))
-    steadier, jumps = difference(t, y, frequency)
+    steadier, irregular = difference(t, y, frequency)
     if steadier > LEAST_STEADINESS:
         piece = described(t, y, frequency, 0.0)
         if _is_regular(piece) and not _harmonics(run, name, piece):
@@ -447,11 +447,11 @@ def _judge_noise(run: Run, name: str, t: Array, y: Array, frequency: float
         return verdict, confidence, (
             f'irregular phase, but its envelope is {steadier:.1f} standard '
             'deviations steadier than that of noise with the same spectrum'), figures
-    chance = float(np.clip(stats.norm.sf(max(steadier, jumps) - 3.0), 0.0, 0.99))
-    if chance < 0.5 and jumps > steadier:
+    chance = float(np.clip(stats.norm.sf(max(steadier, irregular) - 3.0), 0.0, 0.99))
+    if chance < 0.5 and irregular > steadier:
         return 'unsteady', 0.5, (
-            'irregular, but no noise of a linear process: it rests and jumps, its slope is '
-            f'{jumps:.1f} standard deviations more uneven than that of noise with the same '
+            'irregular, but no noise of a linear process: it rests and jumps, or its size '
+            f'changes, by {irregular:.1f} standard deviations more than noise with the same '
             'spectrum'), {}
     if chance < 0.5:
         return 'unsteady', 0.5, (
