@@ -19,6 +19,7 @@ from scipy.integrate import solve_ivp
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.limit_cycle.detection.agreement import judge_run
+from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.measures.sinusoids.sinusoid import fit
 
 Random = np.random.Generator
@@ -284,6 +285,12 @@ FAMILIES: Final[dict[str, tuple[Callable[[Random], Run], str]]] = {
 }
 
 
+def _main_segment(segments: list[Segment]) -> Segment:
+    """Return the longest segment that is not noise, which is right after a decayed oscillation."""
+    moving = [s for s in segments if s.verdict != 'noise'] or segments
+    return max(moving, key=lambda s: s.end_s - s.start_s)
+
+
 def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
     """
     Return how often the longest segment that is not noise has the right verdict.
@@ -296,10 +303,7 @@ def check_verdicts(family: str, count: int, seed: int) -> dict[str, Any]:
     false_cycles = 0
     for _ in range(count):
         segments = judge_run(make(random))
-        # After a decayed oscillation noise is the right verdict.
-        moving = [s for s in segments if s.verdict != 'noise'] or segments
-        longest = max(moving, key=lambda s: s.end_s - s.start_s)
-        verdicts[longest.verdict] += 1
+        verdicts[_main_segment(segments).verdict] += 1
         false_cycles += truth != 'limit_cycle' and any(
             s.verdict == 'limit_cycle' for s in segments)
     return {'family': family, 'truth': truth, 'count': count, 'right': verdicts[truth],
@@ -316,9 +320,9 @@ def changes(run: Run) -> Iterator[Run]:
 
 
 def main_verdict(run: Run) -> tuple[str, float]:
-    """Return verdict and confidence of the longest segment."""
-    longest = max(judge_run(run), key=lambda s: s.end_s - s.start_s)
-    return longest.verdict, longest.confidence
+    """Return verdict and confidence of the longest segment that is not noise."""
+    found = _main_segment(judge_run(run))
+    return found.verdict, found.confidence
 
 
 def check_robustness(family: str, count: int, seed: int) -> dict[str, Any]:
