@@ -7,6 +7,9 @@ integrator; stiction of Choudhury and Kano, play, sum of plays, smooth saturatio
 processes of third order, also with inverse response; stiction of He with random friction and a lag
 of the stem, compliant play, hysteresis of Duhem (Coleman and Hodgdon), a valve of short stroke.
 
+Half of the disturbances jump: sawtooth, square and trapezoid in 'learn'; in 'judge' a step that
+decays, a stair, and levels of random size.
+
 The fault is the cause by construction: without noise the loop oscillates with it and comes to rest
 without it. Unit of time: the controller's period; unit of valve position: the width of the fault.
 """
@@ -28,6 +31,8 @@ Random = np.random.Generator
 
 # Largest ratio of the measured frequency to that of the simulated oscillation.
 VISIBLE: Final = 1.5
+# Share of the disturbances that jump.
+JUMPING: Final = 0.5
 # Share of the loops that are inner loops of a cascade.
 CASCADED: Final = 0.35
 # Amplitude below which a simulated loop is at rest.
@@ -240,20 +245,48 @@ def _valve(world: str, cause: str, random: Random) -> Valve:
     return Valve(kind, 1.0)
 
 
-def _outside(cause: str, period: float, count: int, random: Random) -> Array:
+def _outside(cause: str, world: str, period: float, count: int, random: Random) -> Array:
     """Return an oscillating load disturbance, of random shape and regularity."""
     if cause != 'disturbance':
         return np.zeros(count)
     # Phase, by up to a turn a period, and amplitude vary randomly.
     wander = 10.0 ** random.uniform(-3.0, 0.0)
-    angle = 2.0 * np.pi * (np.arange(count) / period
-                           + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
-    shape = random.integers(4)
-    wave = (np.sin(angle), np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0),
-            np.tanh(random.uniform(1.0, 8.0) * np.sin(angle)), np.arcsin(0.98 * np.sin(angle))
-            )[shape]
+    turns = (np.arange(count) / period
+             + np.cumsum(random.standard_normal(count)) * wander / np.sqrt(period))
+    wave = _jumping if random.random() < JUMPING else _smooth
     size = np.exp(10.0 ** random.uniform(-2.5, -0.2) * _drift(count, 3.0 * period, random))
-    return wave * size
+    return wave(turns, world, random) * size
+
+
+def _smooth(turns: Array, _: str, random: Random) -> Array:
+    """Return a wave without jumps."""
+    angle = 2.0 * np.pi * turns
+    return (np.sin(angle), np.sin(angle) + 0.4 * np.sin(2.0 * angle + 1.0),
+            np.tanh(random.uniform(1.0, 8.0) * np.sin(angle)), np.arcsin(0.98 * np.sin(angle))
+            )[random.integers(4)]
+
+
+def _jumping(turns: Array, world: str, random: Random) -> Array:
+    """
+    Return a wave that jumps, or nearly so, once or twice a turn.
+
+    'learn': sawtooth, square, trapezoid; 'judge': a step that decays, a stair, alternating levels
+    of random size. With a phase that wanders, the square is an almost regular telegraph signal.
+    """
+    turns = np.maximum.accumulate(turns)   # the phase does not go back and forth over a jump
+    share, number = turns % 1.0, np.floor(2.0 * turns).astype(int)
+    sign = random.choice([-1.0, 1.0])
+    if world == 'learn':
+        duty, steep = random.uniform(0.25, 0.75), 10.0 ** random.uniform(0.1, 1.3)
+        waves = (2.0 * share - 1.0, np.where(share < duty, 1.0, -1.0),
+                 np.clip(steep * (4.0 * np.abs(share - 0.5) - 1.0), -1.0, 1.0))
+    else:
+        levels = random.uniform(0.4, 1.6, number.max() - number.min() + 1)
+        waves = (np.exp(-random.uniform(1.0, 6.0) * share),
+                 np.floor(random.integers(3, 6) * share),
+                 np.where(number % 2, 1.0, -1.0) * levels[number - number.min()])
+    wave = waves[random.integers(len(waves))]
+    return sign * (wave - wave.mean()) / np.std(wave)
 
 
 def _drift(count: int, time: float, random: Random) -> Array:
@@ -278,8 +311,9 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     plant, valve = _plant(world, random), _valve(world, cause, random)
     horizon = min(int(60.0 * (plant.delay + plant.lags[1] + plant.integral)), 8000)
     limit_gain = ultimate_gain(plant, horizon)
+    usual = 10.0 ** random.uniform(-1.7, -0.2)      # sluggish loops too
     share = {'tight_tuning': 10.0 ** random.uniform(-0.1, -0.005),
-             'saturation': random.uniform(1.15, 3.0)}.get(cause, random.uniform(0.1, 0.65))
+             'saturation': random.uniform(1.15, 3.0)}.get(cause, usual)
     plant = plant._replace(gain=share * limit_gain)
     limit = 1.0 if cause == 'saturation' and valve.kind == LINEAR else 1e9
     if cause != 'saturation' and not plant.integrating and random.random() < CASCADED:
@@ -300,7 +334,7 @@ def loop(cause: str, random: Random, world: str = 'learn') -> Run | None:
     count = int(period * 10.0 ** random.uniform(0.7, 1.7))
     settle = int(8.0 * period + 4.0 * plant.integral)
     total = count + settle
-    outside = _outside(cause, period, total, random)
+    outside = _outside(cause, world, period, total, random)
     by_reference = random.random() < 0.3
     load = 10.0 ** random.uniform(-3.0, -0.4) * _drift(
         total, period * 10.0 ** random.uniform(-0.7, 1.0), random) + random.uniform(-0.7, 0.7)

@@ -18,7 +18,7 @@ from asi_analysis.limit_cycle.attribution.ablation import (
     owen,
     shapley,
 )
-from asi_analysis.limit_cycle.attribution.classifier import WEIGHTS
+from asi_analysis.limit_cycle.attribution.classifier import LEAST_PROBABILITY, WEIGHTS
 from asi_analysis.limit_cycle.attribution.recording import _weighed, attribute_cycle
 from asi_analysis.limit_cycle.attribution.shape import FEATURES, shape
 from asi_analysis.limit_cycle.detection.agreement import judge_run
@@ -26,6 +26,7 @@ from asi_analysis.limit_cycle.detection.verdict import Segment
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.reporting.report import write_pictures
+from bench.jumping_loads import chances
 from bench.train_attribution import examples, validate
 from bench.valve_loops import (
     VALVES,
@@ -171,6 +172,12 @@ def test_no_valve_is_blamed_for_a_tight_loop_that_its_sensor_shakes():
     found = attribute_cycle(Run(np.arange(4000.0), command_n=command, force_n=output))
     assert found['causes'][0]['nonlinearity'] == 'tight_tuning'
     assert found['causes'][0]['probability'] > 0.8
+
+
+def test_a_load_that_jumps_is_no_sticking_valve():
+    stiction = [each['stiction'] for each in chances('sawtooth', 6)]
+    assert np.mean(stiction) < 0.4
+    assert sum(chance >= LEAST_PROBABILITY for chance in stiction) <= 1
 
 
 def test_units_sign_and_time_scale_of_the_output_change_nothing():
