@@ -3,8 +3,8 @@
 
 First-order processes without delay, which are not those of the training set (`valve_loops.py`).
 The cause is a disturbance; a load that jumps looks most like a valve that sticks. Printed for each
-wave: the mean and the largest probability of stiction, and how many of COUNT (20) loops are attributed to stiction
-or to a disturbance with LEAST_PROBABILITY or more.
+wave: the mean and the largest probability of stiction, and how many of COUNT (20) loops are
+attributed to stiction or to a disturbance with LEAST_PROBABILITY or more.
 """
 
 import sys
@@ -79,7 +79,8 @@ def main() -> None:
         named = [sum(each[cause] >= LEAST_PROBABILITY for each in found)
                  for cause in ('stiction', 'disturbance')]
         stiction = [each['stiction'] for each in found]
-        print(f'| {wave} | {np.mean(stiction):.2f} | {max(stiction):.2f} | {named[0]} | {named[1]} | {len(found)} |', flush=True)
+        print(f'| {wave} | {np.mean(stiction):.2f} | {max(stiction):.2f} | {named[0]} | '
+              f'{named[1]} | {len(found)} |', flush=True)
 
 
 if __name__ == '__main__':
