@@ -5,11 +5,13 @@ A tolerated gain of the force sensor, a constant force in a gap, a delay or lag 
 sample.
 """
 
+import math
+
 from scipy.stats import norm
 
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
-from asi_analysis.gap.inference.probability import Names, with_moved
+from asi_analysis.gap.inference.probability import CONSTANTS, Names, with_moved
 from asi_analysis.gap.inference.uncertainty import LIMIT_95, interval, likelihood
 from asi_analysis.gap.model.blocks import load_constants
 from asi_analysis.gap.model.effects import UNKNOWN
@@ -28,8 +30,9 @@ def with_tolerated_gain(weighed: Weighed, tolerance: float) -> Weighed:
     Return a group in which `sensor_gain` is a gain beyond its tolerance.
 
     That part of the probability of a hypothesis with this effect that lies within the tolerance,
-    by the interval of the fitted gain, belongs to the hypothesis without it. In block-wise fits
-    the gain is free only as an effect: as one more uncertain parameter it would scale the others.
+    by the interval of the fitted gain, belongs to the hypothesis without it; there are the prior
+    odds of an effect against the rest. In block-wise fits the gain is free only as an effect: as
+    one more uncertain parameter it would scale the others.
     """
     for names, candidate in weighed.candidates.items():
         if GAIN in names and weighed.probability[names] >= LEAST_PROBABILITY:
@@ -102,7 +105,7 @@ def _without(names: Names, effect: str) -> Names:
 
 
 def _share_within(candidate: Candidate, tolerance: float) -> float:
-    """Return the probability that the fitted gain is within its tolerance."""
+    """Return the probability that the fitted gain is within its tolerance, where most are."""
     fitted = candidate.fitted
     group = fitted.problem.group
     field = GAIN_ERROR if GAIN_ERROR in {free.field for free in fitted.free} else SENSOR_GAIN
@@ -111,4 +114,4 @@ def _share_within(candidate: Candidate, tolerance: float) -> float:
         for each in (float(fitted.record[field]), *interval(fitted, likelihood(fitted), field)))
     deviation = max((ends[1] - ends[0]) / (2.0 * LIMIT_95), 1e-9)
     inside = norm.cdf((tolerance - value) / deviation) - norm.cdf((-tolerance - value) / deviation)
-    return float(inside)
+    return float(inside / (inside + math.exp(-CONSTANTS.price) * (1.0 - inside)))

@@ -37,7 +37,8 @@ MASS_SHARES = (0.25, 0.5, 0.75)  # further starts of a share of the mass, relati
 LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multiple of its start
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
-STARTS = 2           # so many of the best starts are fitted
+STARTS = 2           # so many of the best starts are fitted, but of few only one
+FEW_STARTS = 3
 LINE = ('offset', 'gain')   # of a static characteristic
 LOG_RANGE = 50.0     # ratio of bounds above which a parameter has a logarithmic scale
 
@@ -152,7 +153,7 @@ def independent_samples(group: Group, p: np.void, of: str = 'held_out') -> Value
 
 def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
         fixed: Sequence[tuple[str, float]] = (), rounds: int = ROUNDS,
-        known: Mapping[str, Array] = MappingProxyType({}), followed: int = STARTS) -> Fitted:
+        known: Mapping[str, Array] = MappingProxyType({}), followed: int = 1) -> Fitted:
     """
     Return the best fit of the free parameters, from the best of the starts.
 
@@ -165,7 +166,7 @@ def fit(group: Group, free: Sequence[Free], starts: Sequence[Array],
     ranked = sorted(starts, key=lambda theta: float(np.sum(problem.residual(theta) ** 2)))
     best_cost, best_theta = math.inf, ranked[0]
     tolerance = COARSE_TOLERANCE if known else FINE_TOLERANCE
-    for start in ranked[:followed if len(starts) > 3 else 1]:
+    for start in ranked[:followed]:
         theta, cost = minimise(
             problem.residual, lambda theta, base: problem.jacobian(theta, known, base), start,
             PRIOR_WEIGHT, rounds, tolerance)
@@ -389,6 +390,7 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     distant initial guesses. followed: number of the best starts that are fitted.
     """
     problem, starts = _extended_problem(group, screen.base, variants)
+    followed = followed if len(starts) > FEW_STARTS else 1
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
     # The parameters of the variants may have other bounds, so their columns differ.
     own = fields_of(variants)

@@ -48,7 +48,7 @@ from asi_analysis.gap.model.servo import (
     Servo,
     error_of,
     forms_of,
-    hidden_servo,
+    hidden_servos,
     lead_of,
     second_order,
     servo_of,
@@ -75,7 +75,7 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
 OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
 # A coil without effect; bounds of a servo's frequency and damping, relative to those identified.
 NO_LAG_HZ = 1e9
-SERVO_BOUNDS = (0.2, 5.0)
+FREQUENCY_BOUNDS, DAMPING_BOUNDS = (0.2, 40.0), (0.2, 5.0)
 SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
 SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
 SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
@@ -252,7 +252,7 @@ def _identified_servo(recordings: Sequence[Recording], hidden: bool
         slow = slow_servo(stepped)
     moved = float(np.std(np.concatenate([r.output for r in decimated])))
     error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
-    return [hidden_servo(slow)] if hidden else servo_of(stepped, slow), steps, error
+    return hidden_servos(slow) if hidden else servo_of(stepped, slow), steps, error
 
 
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
@@ -275,12 +275,12 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
-        dynamics = tuple(
-            Free(f'valve_flexure_{name}', *SERVO_BOUNDS, tuple(
-                getattr(each, own) / getattr(servo, own) for each in (*servos, *swapped(servos))),
-                 'nominal', anew=True)
-            for name, own in (('natural_frequency', 'pulsation'), ('damping_ratio', 'damping'))
-        ) + (lead_of(servo),)
+        starts = (*servos, *swapped(servos))
+        dynamics = *(Free(f'valve_flexure_{name}', *bounds, tuple(
+            getattr(each, own) / getattr(servo, own) for each in starts), 'nominal', anew=True)
+            for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
+                                      ('damping_ratio', 'damping', DAMPING_BOUNDS))
+        ), lead_of(servo, len(starts))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:

@@ -60,6 +60,7 @@ STRIBECKS: Final = (0.02, 0.1, 0.5)
 LOAD_FREQUENCIES: Final = (0.6, 1.2, 2.5, 5.0)
 LOAD_DAMPINGS: Final = (0.0, 0.05, 0.4)
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
+HIDDEN: Final = (1.0, 8.0)    # natural frequencies of a hidden servo, by its lateness alone
 MOST_LEAD: Final = 1.5   # of a servo, as a multiple of its damping over its stiffness
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
@@ -195,9 +196,14 @@ def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
     return left if left < ALMOST * noise else math.inf
 
 
-def hidden_servo(slow: Servo) -> Servo:
-    """Return a servo of second order as late as one of first order that was fitted."""
-    return Servo(2.0 * DAMPING / (slow.delay + 2.0 * slow.damping / slow.pulsation), DAMPING)
+def hidden_servos(slow: Servo) -> list[Servo]:
+    """
+    Return servos of second order as late as one of first order that was fitted, and faster.
+
+    What an effect hides may be late because of that effect, as friction delays a slow motion.
+    """
+    pulsation = 2.0 * DAMPING / (slow.delay + 2.0 * slow.damping / slow.pulsation)
+    return [Servo(faster * pulsation, DAMPING) for faster in HIDDEN]
 
 
 def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
@@ -301,9 +307,10 @@ def swapped(servos: Sequence[Servo]) -> list[Servo]:
             for each in servos if each.lag > 0.0 and each.split >= LEAST_SPLIT]
 
 
-def lead_of(servo: Servo) -> Free:
-    """Return the lead of a servo whose damping may act on the reference, too."""
-    return Free('servo_lead', 0.0, MOST_LEAD * 2.0 * servo.damping / servo.pulsation, (0.0,))
+def lead_of(servo: Servo, starts: int) -> Free:
+    """Return the lead of a servo whose damping acts on the reference, too; none at all starts."""
+    most = MOST_LEAD * 2.0 * servo.damping / servo.pulsation
+    return Free('servo_lead', 0.0, most, (0.0,) * starts, anew=True)
 
 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:

@@ -1,0 +1,104 @@
+"""Joints of another simulation: a PD controller with friction or two masses, a slow sensor."""
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.joint import IDEAL
+from asi_analysis.gap.model.predict import plant_record
+from asi_common.jit import FULL, jit
+
+PERIOD_S = 0.005
+TIME_S = PERIOD_S * np.arange(1200)
+REFERENCE = 0.4 * sum(np.sin(2.0 * np.pi * f * TIME_S + 3.0 * f) for f in (0.4, 1.1, 2.3, 4.7))
+STEPS = 50   # of the simulation, in a sample
+
+
+@jit
+def simulated(reference, friction, breakaway, stiffness, fine, out):
+    """Put into `out` the position of a servo of 4 Hz, of its load if `stiffness` > 0."""
+    h = PERIOD_S / fine
+    w, d = 2.0 * np.pi * 4.0, 0.7
+    mass = 0.7 if stiffness > 0.0 else 1.0
+    x, v, y, u = reference[0], 0.0, reference[0], 0.0
+    for k in range(reference.size):
+        out[k] = y if stiffness > 0.0 else x
+        for _ in range(fine):
+            torque = w * w * (reference[k] - x) - 2.0 * d * w * v
+            spring = stiffness * (x - y) + 0.02 * stiffness ** 0.5 * (v - u)
+            if stiffness > 0.0:
+                torque -= spring
+                u += h * spring / 0.3
+                y += h * u
+            if friction > 0.0 and v == 0.0 and abs(torque) <= friction * breakaway:
+                continue
+            way = np.sign(v) if v != 0.0 else np.sign(torque)
+            rise = 1.0 + (breakaway - 1.0) * np.exp(-abs(v) / 0.2)
+            after = v + h * (torque - way * friction * rise) / mass
+            v = 0.0 if v * after < 0.0 else after
+            x += h * v
+
+
+def run_of(reference=REFERENCE, friction=0.0, breakaway=1.0, stiffness=0.0, late=0.0) -> Run:
+    """Return the recording of a servo, 200 Hz; friction in N per kg; late: samples."""
+    out = np.empty(reference.size)
+    simulated(reference, friction, breakaway, stiffness, STEPS, out)
+    time = PERIOD_S * np.arange(reference.size)
+    out = np.interp(time - late * PERIOD_S, time, out)
+    out += np.random.default_rng(5).normal(0.0, 1e-4, out.size)
+    return Run(time, reference_n=reference, position_m=out, source='servo',
+               information={'signals': {'reference': 'rad', 'position': 'rad'}})
+
+
+def test_friction_within_the_block_is_that_of_a_fine_simulation():
+    fine, found = np.empty((2, REFERENCE.size))
+    simulated(REFERENCE, 0.03 * (8.0 * np.pi) ** 2, 1.5, 0.0, 400, fine)
+    p = plant_record(IDEAL)
+    p['valve_characteristic_full_opening'] = 1.0
+    p['valve_flexure_model'] = FULL
+    p['valve_flexure_coil_frequency'], p['valve_flexure_delay'] = 1e9, 0.0
+    p['valve_flexure_natural_frequency'], p['valve_flexure_damping_ratio'] = 4.0, 0.7
+    p['servo_friction'], p['servo_breakaway'], p['servo_stribeck'] = 0.03, 0.5, 0.2
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 100, found)
+    assert np.abs(found - fine).max() < 2e-3 * np.ptp(fine)
+
+
+@pytest.mark.parametrize(('fault', 'verdict'), [
+    ({'friction': 25.0}, 'coulomb_friction'), ({'friction': 40.0, 'breakaway': 2.5}, 'stiction'),
+    ({'stiffness': 400.0}, 'load_compliance'), ({'late': 0.3}, 'no_gap'), ({}, 'no_gap')])
+def test_what_disturbs_a_servo_is_found_within_its_loop(fault: dict[str, float], verdict: str):
+    # A delay, a lag or a backlash, each for sure; a third of a sample was a delay.
+    answer = diagnose([run_of(**fault)], plant='joint')
+    assert answer.verdict == verdict
+
+
+def test_friction_in_a_slow_motion_is_no_backlash():
+    # It makes the motion late as a slow servo does; of few initial guesses only one was followed.
+    slow = 0.4 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 0.1 * PERIOD_S * np.arange(3000)))
+    answer = diagnose([run_of(slow, friction=25.0)], plant='joint')
+    assert answer.verdict == 'coulomb_friction'
+    # Over the stiffness of the loop, 632 N/m per kg.
+    assert answer.which[0]['parameters']['servo_friction'] == pytest.approx(0.0396, rel=0.02)
+
+
+def test_a_lag_of_the_force_sensor_is_not_one_of_the_drive_too():
+    # The drive showed it as well, and was told beside the sensor: 0.97.
+    rng, period = np.random.default_rng(2), 0.002
+    time = period * np.arange(4000)
+    command = sum(np.sin(2.0 * np.pi * f * time + f) for f in (0.5, 1.3, 3.1, 7.7, 15.0))
+    keep, (v, q, read) = np.exp(-0.0001 / 0.008), np.zeros(3)
+    force, position = np.empty((2, time.size))
+    for k in range(time.size):
+        force[k], position[k] = read, q
+        for _ in range(20):
+            v += 0.0001 * (command[k] - 0.6 * v) / 0.1
+            q += 0.0001 * v
+            read = command[k] + (read - command[k]) * keep
+    run = Run(time, command_n=command, force_n=force + rng.normal(0.0, 0.01, time.size),
+              position_m=position + rng.normal(0.0, 1e-4, time.size), source='arm',
+              information={'signals': {'command': 'N', 'force': 'N', 'position': 'm'}})
+    answer = diagnose([run], plant='joint')
+    assert answer.verdict == 'sensor_lag'
+    assert answer.which[0]['parameters']['sensor_lag'] == pytest.approx(0.008, rel=0.1)
