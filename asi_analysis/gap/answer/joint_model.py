@@ -228,6 +228,9 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     if p['valve_flexure_model'] == FULL:
         w = 2.0 * np.pi * float(p['valve_flexure_natural_frequency'])
         damping = float(p['valve_flexure_damping_ratio'])
+        if p['servo_lead'] > SHARE_LATE * 2.0 * damping / w:
+            unsaid = (f'damping of the servo that acts on its error: a lead of '
+                      f'{digits(float(p["servo_lead"]), "s")}',)
     elif taken:
         w, damping = taken['pulsation'], taken['damping']
         notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '

@@ -3,6 +3,10 @@ The servo of a joint that follows a reference: second order, with limits of spee
 
     a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
 
+Without limits, what disturbs it can be part of it: dry friction, a load on a compliance. Its
+damping may act on the reference too: a lead. A force is given over the stiffness of the loop, as a
+position; a loop with integral action takes a constant one over, in 1 / integral s.
+
 It is the nominal model if its residual is far smaller than that of a delay with a first-order lag.
 """
 
@@ -16,6 +20,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from asi_actuator.model.linear_lag import second_order as second_order_lag
+from asi_actuator.model.linear_lag import second_order_step
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.prepare import Recording
@@ -65,6 +71,9 @@ MOST_LEAD: Final = 1.5   # of a servo, as a multiple of its damping over its sti
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
+STATES = 5   # position and rate of the drive, of the load, and the force that was taken over
+POSITION, RATE, LOAD, LOAD_RATE, TAKEN = range(STATES)
+
 
 class Servo(NamedTuple):
     """
@@ -86,6 +95,67 @@ class Servo(NamedTuple):
     def limited(self) -> bool:
         """Return whether rate or acceleration are limited."""
         return math.isfinite(self.rate) or math.isfinite(self.acceleration)
+
+
+@jit
+def disturbed(e):
+    """Return whether a servo is more than a lag of second order."""
+    return e.servo_lead > 0.0 or e.servo_friction > 0.0 or e.servo_load_frequency > 0.0
+
+
+@jit
+def servo_lags(e, h):
+    """Return the lag of the load, and what integral action leaves of a force, for steps of h s."""
+    return (second_order_lag(e.servo_load_frequency, e.servo_load_damping, h),
+            math.exp(-e.servo_integral * h))
+
+
+@jit
+def servo_step(state, drawn, lag, lags, e):
+    """
+    Return the position (m) of a servo's load after a sub-step; updates its STATES.
+
+    drawn: mean reference, m; lag: of the undisturbed servo; lags: `servo_lags`.
+    """
+    load, left = lags
+    before = state[POSITION] + e.servo_lead * state[RATE]
+    if e.servo_friction > 0.0:
+        friction = rub(state, drawn + state[TAKEN], lag, e)
+        state[TAKEN] = friction + (state[TAKEN] - friction) * left
+    else:
+        state[POSITION], state[RATE] = second_order_step(state[POSITION], state[RATE], drawn, lag)
+    after = state[POSITION] + e.servo_lead * state[RATE]
+    if e.servo_load_frequency == 0.0:
+        return after
+    state[LOAD], state[LOAD_RATE] = second_order_step(
+        state[LOAD], state[LOAD_RATE], 0.5 * (before + after), load)
+    return state[LOAD]
+
+
+@jit
+def rub(state, drawn, lag, e):
+    """
+    Move a servo with dry friction for a sub-step; return the friction, as a position (m).
+
+    At rest the friction is what holds, up to breakaway (Karnopp 1985); a motion that it stops
+    ends within the sub-step. drawn: the position to which the loop pulls, m.
+    """
+    position, rate = state[POSITION], state[RATE]
+    pull = drawn - position
+    rise = e.servo_breakaway
+    if rate == 0.0:
+        if abs(pull) <= e.servo_friction * (1.0 + rise):
+            return pull
+        friction = math.copysign(e.servo_friction * (1.0 + rise), pull)
+    else:
+        if rise > 0.0:
+            rise *= math.exp(-abs(rate) / e.servo_stribeck)
+        friction = math.copysign(e.servo_friction * (1.0 + rise), rate)
+    state[POSITION], state[RATE] = second_order_step(position, rate, drawn - friction, lag)
+    if rate * state[RATE] < 0.0:
+        share = rate / (rate - state[RATE])
+        state[POSITION], state[RATE] = position + share * lag.half_step * rate, 0.0
+    return friction
 
 
 @jit
