@@ -37,8 +37,8 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence
     Return the groups of a joint with what was hidden in every fit, if needed.
 
     And notes, and their extent. It is gravity or a spring; of a servo, its second order;
-    and needed if no effect explains the gap without it, one does with it, and the residual power
-    is then below ACCEPTED_RESIDUAL of that before.
+    and needed if no effect explains the gap without it, one does with it (of a servo, it may do so
+    alone), and the residual power is then below ACCEPTED_RESIDUAL of that before.
     weighed: without it; groups: returns those of another extent.
     """
     without = weighed[-1].group
@@ -58,13 +58,13 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence
     best = _best(refitted)
     share = best.fitted.held_out[channel] / left
     unknown = marginals(refitted.probability)[UNKNOWN] > 0.5
-    if not best.names or share > ACCEPTED_RESIDUAL or unknown:
+    if not (best.names or servo) or share > ACCEPTED_RESIDUAL or unknown:
         return weighed, [], extent
     what = ('the servo is of second order' if servo else 'the joint has gravity'
             if 'gravity_sine' in best.fitted.values else 'the joint is held by a spring')
+    what += ', which shows beside an effect only' if best.names else ''
     return [*weighed[:-1], refitted], [
-        f'{what}, which shows beside an effect only: with it that leaves {100.0 * share:.2g} % of '
-        'the power of the error'], whole
+        f'{what}: with it that leaves {100.0 * share:.2g} % of the power of the error'], whole
 
 
 def _best(weighed: Weighed) -> Candidate:

@@ -40,6 +40,7 @@ from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model.servo import (
     LOAD,
+    OUTPUT,
     POSITION,
     STATES,
     disturbed,
@@ -64,6 +65,7 @@ EFFECT_FIELDS = (
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
     'servo_lead',               # s, of a servo: of its damping, as far as it acts on the reference
+    'servo_lag_share',          # of the lead: the lag of its integral action
     'servo_friction',           # m, its sliding friction over the stiffness of its loop
     'servo_breakaway',          # breakaway over sliding friction, less one
     'servo_stribeck',           # m/s
@@ -208,7 +210,7 @@ def valve(command, p, e, period, count, out):
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
     behind = valve_position(rest, p)
     serves, lags, servo = disturbed(e), servo_lags(e, h), np.zeros(STATES)
-    servo[POSITION] = servo[LOAD] = rest
+    servo[POSITION] = servo[OUTPUT] = servo[LOAD] = rest
     for k in range(out.shape[0]):
         position = behind if e.loop_behind > 0.5 else valve_position(pipe, p)
         if e.valve_limit > 0.0:

@@ -49,7 +49,7 @@ from asi_analysis.gap.model.servo import (
     error_of,
     forms_of,
     hidden_servos,
-    lead_of,
+    loop_of,
     second_order,
     servo_of,
     slow_servo,
@@ -275,12 +275,14 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
-        starts = (*servos, *swapped(servos))
+        # With integral action in its loop, a lag goes with a lead.
+        starts = [(each, 0.0) for each in (*servos, *swapped(servos))] + [
+            (each, each.lag) for each in servos if each.lag > 0.0]
         dynamics = *(Free(f'valve_flexure_{name}', *bounds, tuple(
-            getattr(each, own) / getattr(servo, own) for each in starts), 'nominal', anew=True)
+            getattr(each, own) / getattr(servo, own) for each, _ in starts), 'nominal', anew=True)
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
                                       ('damping_ratio', 'damping', DAMPING_BOUNDS))
-        ), lead_of(servo, len(starts))
+        ), *loop_of(servo, [lead for _, lead in starts])
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:

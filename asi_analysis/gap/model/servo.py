@@ -4,8 +4,9 @@ The servo of a joint that follows a reference: second order, with limits of spee
     a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
 
 Without limits, what disturbs it can be part of it: dry friction, a load on a compliance. Its
-damping may act on the reference too: a lead. A force is given over the stiffness of the loop, as a
-position; a loop with integral action takes a constant one over, in 1 / integral s.
+damping may act on the reference too: a lead; with integral action in the loop, a lag goes with it.
+A force is given over the stiffness of the loop, as a position; integral action takes a constant
+one over, in 1 / integral s.
 
 It is the nominal model if its residual is far smaller than that of a delay with a first-order lag.
 """
@@ -20,8 +21,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from asi_actuator.model.linear_lag import first_order_or_none, second_order_step
 from asi_actuator.model.linear_lag import second_order as second_order_lag
-from asi_actuator.model.linear_lag import second_order_step
 from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.prepare import Recording
@@ -67,12 +68,14 @@ LOAD_FREQUENCIES: Final = (0.6, 1.2, 2.5, 5.0)
 LOAD_DAMPINGS: Final = (0.0, 0.05, 0.4)
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
 HIDDEN: Final = (1.0, 8.0)    # natural frequencies of a hidden servo, by its lateness alone
-MOST_LEAD: Final = 1.5   # of a servo, as a multiple of its damping over its stiffness
+MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
+MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
-STATES = 5   # position and rate of the drive, of the load, and the force that was taken over
-POSITION, RATE, LOAD, LOAD_RATE, TAKEN = range(STATES)
+# Position and rate of the drive, its output, position and rate of the load, force taken over.
+STATES = 6
+POSITION, RATE, OUTPUT, LOAD, LOAD_RATE, TAKEN = range(STATES)
 
 
 class Servo(NamedTuple):
@@ -105,8 +108,9 @@ def disturbed(e):
 
 @jit
 def servo_lags(e, h):
-    """Return the lag of the load, and what integral action leaves of a force, for steps of h s."""
+    """Return the lags of load and lead, and what integral action leaves of a force, in h s."""
     return (second_order_lag(e.servo_load_frequency, e.servo_load_damping, h),
+            first_order_or_none(e.servo_lead * e.servo_lag_share, h),
             math.exp(-e.servo_integral * h))
 
 
@@ -117,18 +121,19 @@ def servo_step(state, drawn, lag, lags, e):
 
     drawn: mean reference, m; lag: of the undisturbed servo; lags: `servo_lags`.
     """
-    load, left = lags
-    before = state[POSITION] + e.servo_lead * state[RATE]
+    load, output, left = lags
+    led, before = state[POSITION] + e.servo_lead * state[RATE], state[OUTPUT]
     if e.servo_friction > 0.0:
         friction = rub(state, drawn + state[TAKEN], lag, e)
         state[TAKEN] = friction + (state[TAKEN] - friction) * left
     else:
         state[POSITION], state[RATE] = second_order_step(state[POSITION], state[RATE], drawn, lag)
-    after = state[POSITION] + e.servo_lead * state[RATE]
+    state[OUTPUT] = output.keep * before + output.old * led + output.new * (
+        state[POSITION] + e.servo_lead * state[RATE])
     if e.servo_load_frequency == 0.0:
-        return after
+        return state[OUTPUT]
     state[LOAD], state[LOAD_RATE] = second_order_step(
-        state[LOAD], state[LOAD_RATE], 0.5 * (before + after), load)
+        state[LOAD], state[LOAD_RATE], 0.5 * (before + state[OUTPUT]), load)
     return state[LOAD]
 
 
@@ -377,10 +382,15 @@ def swapped(servos: Sequence[Servo]) -> list[Servo]:
             for each in servos if each.lag > 0.0 and each.split >= LEAST_SPLIT]
 
 
-def lead_of(servo: Servo, starts: int) -> Free:
-    """Return the lead of a servo whose damping acts on the reference, too; none at all starts."""
-    most = MOST_LEAD * 2.0 * servo.damping / servo.pulsation
-    return Free('servo_lead', 0.0, most, (0.0,) * starts, anew=True)
+def loop_of(servo: Servo, leads: Sequence[float]) -> tuple[Free, Free]:
+    """
+    Return the lead of a servo, and the lag of its integral action as a share of that.
+
+    leads: initial guesses, s; beside each the lag is as long, so that both have no effect.
+    """
+    most = max(MOST_LEAD * 2.0 * servo.damping / servo.pulsation, *(2.0 * each for each in leads))
+    return (Free('servo_lead', 0.0, most, tuple(leads), '', 's', anew=True),
+            Free('servo_lag_share', 0.0, MOST_LAG, (1.0,) * len(leads), anew=True))
 
 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:

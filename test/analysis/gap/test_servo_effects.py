@@ -102,3 +102,23 @@ def test_a_lag_of_the_force_sensor_is_not_one_of_the_drive_too():
     answer = diagnose([run], plant='joint')
     assert answer.verdict == 'sensor_lag'
     assert answer.which[0]['parameters']['sensor_lag'] == pytest.approx(0.008, rel=0.1)
+
+
+@pytest.mark.parametrize(('late', 'verdict'), [(0, 'no_gap'), (8, 'transport_delay')])
+def test_the_integral_action_of_a_servo_is_no_lag(late: int, verdict: str):
+    # A position loop around a velocity loop with integral action: "lag and delay", for sure.
+    q, v, integral, out = REFERENCE[0], 0.0, 0.0, []
+    for wanted in np.append(np.full(late, REFERENCE[0]), REFERENCE)[:REFERENCE.size]:
+        out.append(q)
+        for _ in range(STEPS):
+            error = 10.0 * (wanted - q) - v
+            integral += PERIOD_S / STEPS * error
+            v += PERIOD_S / STEPS * 50.0 * (error + 5.0 * integral)
+            q += PERIOD_S / STEPS * v
+    noise = np.random.default_rng(5).normal(0.0, 1e-4, len(out))
+    run = Run(TIME_S, reference_n=REFERENCE, position_m=np.array(out) + noise, source='servo',
+              information={'signals': {'reference': 'rad', 'position': 'rad'}})
+    answer = diagnose([run], plant='joint')
+    assert answer.verdict == verdict
+    if late:
+        assert answer.which[0]['parameters']['command_delay'] == pytest.approx(0.04, abs=0.003)
