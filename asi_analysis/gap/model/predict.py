@@ -47,8 +47,7 @@ def plant_record(nominal: Mapping[str, Value]) -> np.void:
         record[name] = actuator[name]
     for name, value in (('force_scale', 1.0), ('friction_bristle', 1e-4), ('supply_time', 0.3),
                         ('friction_stribeck', 1.0), ('friction_falling', 1.0),
-                        ('viscous_exponent', 1.0), ('velocity_scale', 1.0),
-                        ('servo_stribeck', 1.0)):
+                        ('viscous_exponent', 1.0), ('velocity_scale', 1.0)):
         record[name] = value
     for name, value in effect_fields(completed(nominal, ACTUATOR_PARAMETERS)).items():
         record[name] = value
