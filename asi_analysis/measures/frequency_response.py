@@ -46,6 +46,8 @@ SINE: Final = 0.99
 SINE_LINES: Final = 3
 # A sine of fewer cycles may be a ramp or a staircase.
 FEWEST_CYCLES: Final = 0.6
+# Of fewer samples, many signals look like a sine.
+SINE_LEAST: Final = 8
 # Samples that suffice to fit one of so few cycles.
 SINE_SAMPLES: Final = 2000
 Places = npt.NDArray[np.intp]
@@ -113,7 +115,7 @@ def _at_its_frequency(time: Array, sine: Array, output: Array) -> tuple[float, c
 
 def is_sine(values: Array) -> bool:
     """Return whether nearly all of a signal is a single sine, of which one frequency is known."""
-    if values.size < 3 or np.ptp(values) == 0.0:
+    if values.size < SINE_LEAST or np.ptp(values) == 0.0:
         return False
     window = signal.windows.hann(values.size)
     power = np.abs(np.fft.rfft(window * (values - values.mean()))) ** 2

@@ -144,12 +144,12 @@ def attribute_cycle(run: Run, signal: str | None = None, progress: Progress = si
 
     >>> import asi_analysis as asi
     >>> level, valve, integral, rows = 0.5, 0.0, 0.0, []
-    >>> for k in range(1500):               # a PI loop whose valve sticks
-    ...     integral -= 0.005 * level
+    >>> for k in range(3000):               # a PI loop whose valve sticks
+    ...     integral -= 0.02 * level
     ...     command = integral - level
     ...     valve = command if abs(command - valve) > 0.2 else valve
     ...     rows.append((0.05 * k, command, level))
-    ...     level += 0.05 * valve
+    ...     level += 0.02 * (valve - level)
     >>> time_s, command_n, force_n = np.array(rows).T
     >>> run = asi.Run(time_s, command_n=command_n, force_n=force_n)
     >>> asi.attribute_cycle(run).causes[0]['nonlinearity']

@@ -478,8 +478,11 @@ def test_lost_motion_of_a_position_loop_is_backlash():
                                     source='loop',
                                     information={'signals': {'reference': 'rad'}})], {}, 'joint',
                                drive='position'))
-    assert answer['which'][0]['effect'] == 'backlash'
-    assert answer['which'][0]['parameters']['loop_width'] == pytest.approx(0.03, rel=0.05)
+    # Dry friction in a loop without inertia is the same play.
+    found = {each['effect']: each for each in answer['which'][:2]}
+    assert found.keys() == {'backlash', 'coulomb_friction'}
+    assert found['backlash']['probability'] > 0.4
+    assert found['backlash']['parameters']['loop_width'] == pytest.approx(0.03, rel=0.05)
 
 
 def test_uneven_friction_is_not_an_offset_for_sure():
