@@ -64,8 +64,8 @@ FOLLOWED: Final = 3
 # multiple of the servo's, and its damping ratio: more would be a lag of two poles.
 FRICTIONS: Final = (0.003, 0.01, 0.03, 0.1)
 STRIBECKS: Final = (0.02, 0.1, 0.5)
-LOAD_FREQUENCIES: Final = (0.6, 1.2, 2.5, 5.0)
-LOAD_DAMPINGS: Final = (0.0, 0.05, 0.4)
+LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
+LOAD_DAMPINGS: Final = (0.0, 0.15, 0.4)
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
 HIDDEN: Final = (1.0, 8.0)    # natural frequencies of a hidden servo, by its lateness alone
 MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
