@@ -73,6 +73,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('observed', np.float64, (2,)),                  # N, of the disturbance observer
 ])
 
+
 def design(values: Mapping[str, Value], rate_hz: float | None = None) -> Design:
     """
     Return the compensator of the parameters, in continuous time.

@@ -27,6 +27,7 @@ from asi_analysis.gap.findings.edges import PLACED, placed
 from asi_analysis.gap.findings.no_effect import SENSOR_GAIN as GAIN
 from asi_analysis.gap.findings.no_effect import (
     place_of_gap,
+    sampling_delay,
     with_gap_centre,
     with_tolerated_gain,
     without_sampling_delay,
@@ -262,10 +263,10 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     return _answer(case, groups, weighed, joined, notes)
 
 
-def _warn(notes: Iterable[str]) -> None:
-    """Print notes as warnings."""
+def _warn(notes: Iterable[str], depth: int = 3) -> None:
+    """Print notes as warnings of the caller of `diagnose`, which is so many calls up."""
     for note in notes:
-        warnings.warn(note, InputWarning, stacklevel=3)
+        warnings.warn(note, InputWarning, stacklevel=depth)
 
 
 def _ticks(report: Progress, steps: int) -> Callable[[], None]:
@@ -316,7 +317,7 @@ def _by_blocks(case: _Case, groups: _Groups, answered: Sequence[Weighed | None],
         # The force of a free load is too small for the check.
         elif case.plant == 'actuator' and not (known and case.model.get('load.type') == 'free'):
             more = plausibility.check_against_model(group)
-            _warn(more)
+            _warn(more, 4)
             notes += more
     weighed = weigh_groups(groups.blocks, tick, answered)
     return [at_one_rate(each) if case.plant == 'static' else each for each in weighed], notes
@@ -350,6 +351,8 @@ def _in_another_extent(case: _Case, groups: _Groups, weighed: list[Weighed],
 def _as_changes(case: _Case, groups: _Groups, weighed: Sequence[Weighed]
                 ) -> tuple[list[Weighed], list[str]]:
     """Return the groups with what is no change, or within its tolerance, as no effect; notes."""
+    if case.plant == 'joint':
+        weighed = with_one_sensor([without_sampling_delay(each) for each in weighed])
     if groups.machine:
         found = [doubted(changed_only(each, was), was, case.tolerance)
                  for each in weighed for was in [groups.machine[each.group.channels]]]
@@ -357,8 +360,6 @@ def _as_changes(case: _Case, groups: _Groups, weighed: Sequence[Weighed]
     if case.plant == 'actuator':
         return [with_tolerated_gain(with_gap_centre(each), groups.own.get(GAIN, case.tolerance))
                 for each in weighed], []
-    if case.plant == 'joint':
-        return with_one_sensor([without_sampling_delay(each) for each in weighed]), []
     return list(weighed), []
 
 
@@ -376,7 +377,7 @@ def _answer(case: _Case, groups: _Groups, as_fitted: list[Weighed],
     answer = Diagnosis(runs, plant, case.tolerance, groups.own, weighed, joined, verdict, [],
                        notes, None, None, case.healthy, groups.machine, case.extent)
     notes += filter(None, (of(answer.best(each)) for each in weighed
-                           for of in (place_of_gap, how_uneven)))
+                           for of in (place_of_gap, sampling_delay, how_uneven)))
     shrinks = [shrink_of(w.group, channel, w.candidates[()].fitted.record,
                          answer.best(w).fitted.record, elsewhere=plant == 'actuator')
                for w in weighed for channel in w.group.channels]

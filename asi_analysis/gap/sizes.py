@@ -21,7 +21,8 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]]
     """Return the fit of the best hypothesis that holds an effect, and the effect's parameters."""
     # Of an effect in several groups of channels: the one in which it is most probable.
     for weighed in sorted(diagnosis.groups, reverse=True,
-                          key=lambda w: marginals(w.probability).get(name, 0.0)):
+                          key=lambda w: (marginals(w.probability).get(name, 0.0),
+                                         w.group.channels == ('load',))):
         holding = [candidate for names, candidate in weighed.candidates.items() if name in names]
         if holding:
             own = diagnosis.best(weighed)

@@ -108,7 +108,7 @@ def _at_its_frequency(time: Array, sine: Array, output: Array) -> tuple[float, c
     time, sine, output = time[moving], sine[moving], output[moving]
     frequency = sine_frequency(time, sine - sine.mean())
     answer, left = fit_sine(time, output, frequency)
-    if not np.var(left) <= (1.0 - COHERENT) * np.var(output):
+    if not np.var(left) < (1.0 - COHERENT) * np.var(output):
         return None
     return frequency, answer / fit_sine(time, sine, frequency)[0]
 

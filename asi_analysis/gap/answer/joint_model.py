@@ -16,6 +16,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.diagnosis import Diagnosis
+from asi_analysis.gap.findings.one_sensor import of_the_drive
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
 from asi_analysis.gap.model.effects import UNKNOWN, Variant, of_recording
@@ -123,7 +124,7 @@ def joint_model(diagnosis: Diagnosis, nominal: bool = False) -> JointModel:
         notes |= more
         unsaid += left
     records = {channel: weighed.group.as_given if nominal else
-               _held(diagnosis, weighed).fitted.record for channel, weighed in groups.items()}
+               _record(channel, _held(diagnosis, weighed)) for channel, weighed in groups.items()}
     if servo:
         found = _followed(groups['valve'], records['valve'], run)
     else:
@@ -228,9 +229,10 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     if p['valve_flexure_model'] == FULL:
         w = 2.0 * np.pi * float(p['valve_flexure_natural_frequency'])
         damping = float(p['valve_flexure_damping_ratio'])
-        if p['servo_lead'] > SHARE_LATE * 2.0 * damping / w:
-            unsaid = (f'damping of the servo that acts on its error: a lead of '
-                      f'{digits(float(p["servo_lead"]), "s")}',)
+        lead, share = float(p['servo_lead']), float(p['servo_lag_share'])
+        if lead * abs(1.0 - share) > SHARE_LATE * 2.0 * damping / w:   # they do not cancel
+            unsaid = (f'a lead of the servo of {digits(lead, "s")}, and a lag of '
+                      f'{digits(share * lead, "s")} of its integral action',)
     elif taken:
         w, damping = taken['pulsation'], taken['damping']
         notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '
@@ -301,6 +303,12 @@ def _most(values: Array) -> float:
     return float(np.nanquantile(np.abs(values), 0.999))
 
 
+def _record(channel: str, found: Candidate) -> np.void:
+    """Return the fitted record of a channel, that of the drive without what is the sensor's."""
+    p = found.fitted.record
+    return of_the_drive(p, found.names) if channel == 'valve' else p
+
+
 def _held(diagnosis: Diagnosis, weighed: Weighed) -> Candidate:
     """
     Return the verdict of a group as far as a joint model has fields for it.
@@ -369,7 +377,7 @@ def node_parameters(diagnosis: Diagnosis, given: Mapping[str, Value]
     identified takes their place. Raises InputError for a joint that a node cannot simulate.
     """
     groups = {weighed.group.channels[0]: weighed for weighed in diagnosis.groups}
-    records = {channel: diagnosis.best(weighed).fitted.record
+    records = {channel: _record(channel, diagnosis.best(weighed))
                for channel, weighed in groups.items()}
     run = diagnosis.runs[0]
     values: dict[str, Value] = {'plant': 'joint', **{

@@ -63,12 +63,22 @@ def without_sampling_delay(weighed: Weighed) -> Weighed:
 
     A controller holds its command, and time stamps may be off by as much.
     """
-    period = max(recording.period_s for recording in weighed.group.recordings)
+    period = min(recording.period_s for recording in weighed.group.recordings)
     for effect, field in LATE.items():
         for names, candidate in weighed.candidates.items():
             if effect in names and candidate.fitted.values.get(field, period) < period:
                 weighed = _moved(weighed, names, effect, 1.0)
     return weighed
+
+
+def sampling_delay(best: Candidate) -> str | None:
+    """Return the note on a delay or lag that is taken for that of the recording; None: none."""
+    late = [best.fitted.values[field] for effect, field in LATE.items()
+            if field in best.fitted.values and effect not in best.names
+            and best.fitted.values[field] < min(
+                r.period_s for r in best.fitted.problem.group.recordings)]
+    return (f'a delay of {1e3 * sum(late):.2g} ms, less than a sample, is taken for that of the '
+            'recording') if late else None
 
 
 def place_of_gap(best: Candidate) -> str | None:

@@ -6,6 +6,7 @@ the drive.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -14,7 +15,11 @@ from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
 from asi_analysis.gap.inference.probability import Names, marginals
 from asi_analysis.gap.model.blocks import drift, parts
 from asi_analysis.gap.model.effects import UNKNOWN
+from asi_common.record import copy_of
 
+# An effect of the drive, that of the sensor which it may be, and the field of the former.
+SEEN_TWICE: Final = (('valve_lag', 'sensor_lag', 'valve_lag'),
+                     ('valve_bias', 'sensor_drift', 'command_bias'))
 ALIKE: Final = 1.5   # ratio of two lags below which they may be one
 
 
@@ -23,8 +28,8 @@ def with_one_sensor(weighed: Sequence[Weighed]) -> list[Weighed]:
     if [each.group.channels for each in weighed] != [('valve',), ('load',)]:
         return list(weighed)
     drive, load = weighed
-    for of_drive, of_sensor, alike in (('valve_lag', 'sensor_lag', _lag_alike),
-                                       ('valve_bias', 'sensor_drift', _drift_alike)):
+    for (of_drive, of_sensor, _), alike in zip(SEEN_TWICE, (_lag_alike, _drift_alike),
+                                               strict=True):
         drive = _renamed(drive, of_drive, of_sensor, load, alike)
     return [drive, load]
 
@@ -48,7 +53,19 @@ def _renamed(drive: Weighed, of_drive: str, of_sensor: str, load: Weighed,
             chance[other] = chance.get(other, 0.0) + moved
         own = tuple(sorted({*names, of_sensor} - {of_drive}))
         candidates[own] = candidate._replace(names=own)
-    return drive._replace(probability=chance, candidates=candidates)
+    effects = drive.group.effects
+    group = replace(drive.group, effects={
+        **effects, of_sensor: (*effects[of_sensor], *effects[of_drive])})
+    return drive._replace(group=group, probability=chance, candidates=candidates)
+
+
+def of_the_drive(p: np.void, names: Names) -> np.void:
+    """Return the record of a drive with these effects, without what is the sensor's."""
+    own = copy_of(p)
+    for _, of_sensor, field in SEEN_TWICE:
+        if of_sensor in names:
+            own[field] = 0.0
+    return own
 
 
 def _lag_alike(drive: Candidate, sensor: Candidate) -> bool:
@@ -58,8 +75,9 @@ def _lag_alike(drive: Candidate, sensor: Candidate) -> bool:
 
 
 def _drift_alike(drive: Candidate, sensor: Candidate) -> bool:
-    """Return whether the bias of a drive is no more than the drift of the sensor."""
+    """Return whether the bias of a drive is between none and the largest drift of the sensor."""
     p, seen = drive.fitted.record, sensor.fitted
-    most = max(float(np.abs(drift(r.time_s, parts(seen.record)[1])).max())
-               for r in seen.problem.group.recordings)
-    return abs(float(p['command_bias'] * p['valve_characteristic_gain'])) <= most
+    drifts = np.concatenate([drift(r.time_s, parts(seen.record)[1])
+                             for r in seen.problem.group.recordings])
+    bias = float(p['command_bias'] * p['valve_characteristic_gain'])
+    return bool(min(drifts.min(), 0.0) <= bias <= max(drifts.max(), 0.0))

@@ -64,7 +64,7 @@ def with_hidden_load(weighed: list[Weighed], groups: Callable[[Extent], Sequence
             if 'gravity_sine' in best.fitted.values else 'the joint is held by a spring')
     what += ', which shows beside an effect only' if best.names else ''
     return [*weighed[:-1], refitted], [
-        f'{what}: with it that leaves {100.0 * share:.2g} % of the power of the error'], whole
+        f'{what}: with it {100.0 * share:.2g} % of the power of the error is left'], whole
 
 
 def _best(weighed: Weighed) -> Candidate:

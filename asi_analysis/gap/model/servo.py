@@ -356,7 +356,8 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
     speed = servo.pulsation * amplitude
     low, start, high = STRIBECKS
     friction = (
-        Free('servo_friction', 0.0, 1.0, tuple(each * amplitude for each in FRICTIONS), '', 'm'),
+        Free('servo_friction', 0.0, amplitude, tuple(
+            each * amplitude for each in FRICTIONS), '', 'm'),
         Free('servo_integral', 0.0, INTEGRALS[-1] * servo.pulsation, tuple(
             each * servo.pulsation for each in INTEGRALS[:-1]), '', '1/s'))
     sticking = (Free('servo_breakaway', 0.25, 6.0, (1.0,)),

@@ -1,11 +1,15 @@
 """Joints of another simulation: a PD controller with friction or two masses, a slow sensor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.answer.joint_model import joint_model, node_parameters
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
+from asi_analysis.gap.document import document
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
@@ -75,6 +79,14 @@ def test_what_disturbs_a_servo_is_found_within_its_loop(fault: dict[str, float],
     assert answer.verdict == verdict
 
 
+@pytest.mark.parametrize('scale', [0.001, 100.0])
+def test_friction_of_a_servo_is_found_in_any_unit(scale: float):
+    run = run_of(friction=25.0)
+    assert run.reference_n is not None and run.position_m is not None
+    scaled = replace(run, reference_n=scale * run.reference_n, position_m=scale * run.position_m)
+    assert diagnose([scaled], plant='joint').verdict == 'coulomb_friction'
+
+
 def test_friction_in_a_slow_motion_is_no_sure_backlash():
     # It makes the motion late as a slow servo does; of few initial guesses only one was followed.
     slow = 0.4 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 0.1 * PERIOD_S * np.arange(3000)))
@@ -102,9 +114,14 @@ def test_a_lag_of_the_force_sensor_is_not_one_of_the_drive_too():
     run = Run(time, command_n=command, force_n=force + rng.normal(0.0, 0.01, time.size),
               position_m=position + rng.normal(0.0, 1e-4, time.size), source='arm',
               information={'signals': {'command': 'N', 'force': 'N', 'position': 'm'}})
-    answer = diagnose([run], plant='joint')
-    assert answer.verdict == 'sensor_lag'
-    assert answer.which[0]['parameters']['sensor_lag'] == pytest.approx(0.008, rel=0.1)
+    found = diagnosis_of([run], {}, 'joint')
+    assert found.verdict == ('sensor_lag',)
+    assert document(found)['which'][0]['parameters']['sensor_lag'] == pytest.approx(0.008, rel=0.1)
+    # For another simulator it is the sensor's alone, and the drive keeps its gain.
+    values, *_ = node_parameters(found, {})
+    assert values['force_sensor.lag_time'] == pytest.approx(0.008, rel=0.1)
+    assert 'drive.lag_time' not in values
+    assert joint_model(found).gain == pytest.approx(1.0, rel=0.01)
 
 
 @pytest.mark.parametrize(('late', 'verdict'), [(0, 'no_gap'), (8, 'transport_delay')])
