@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from asi_analysis.gap.inference.hypotheses import Candidate, Weighed
-from asi_analysis.gap.inference.probability import Names, marginals
+from asi_analysis.gap.inference.probability import Names, marginals, with_moved
 from asi_analysis.gap.model.blocks import drift, parts
 from asi_analysis.gap.model.effects import UNKNOWN
 from asi_common.record import copy_of
@@ -42,17 +42,20 @@ def _renamed(drive: Weighed, of_drive: str, of_sensor: str, load: Weighed,
     if not seen:
         return drive
     sensor = max(seen, key=lambda each: load.probability.get(each.names, 0.0))
-    chance, candidates = dict(drive.probability), dict(drive.candidates)
-    for names, candidate in drive.candidates.items():
-        if of_drive not in names or not alike(candidate, sensor):
-            continue
-        for each in (names, tuple(sorted((*names, UNKNOWN)))):
-            other: Names = tuple(sorted({*each, of_sensor} - {of_drive}))
-            moved = share * chance.get(each, 0.0)
-            chance[each] = chance.get(each, 0.0) - moved
-            chance[other] = chance.get(other, 0.0) + moved
-        own = tuple(sorted({*names, of_sensor} - {of_drive}))
-        candidates[own] = candidate._replace(names=own)
+    twice = [each for names, each in drive.candidates.items()
+             if of_drive in names and alike(each, sensor)]
+    if not twice:
+        return drive
+
+    def of_the_sensor(names: Names) -> Names:
+        return tuple(sorted({*names, of_sensor} - {of_drive}))
+
+    chance, candidates = drive.probability, dict(drive.candidates)
+    for each in twice:
+        for names in (each.names, tuple(sorted((*each.names, UNKNOWN)))):
+            chance = with_moved(chance, names, of_the_sensor(names), share)
+        own = of_the_sensor(each.names)
+        candidates[own] = each._replace(names=own)
     effects = drive.group.effects
     group = replace(drive.group, effects={
         **effects, of_sensor: (*effects[of_sensor], *effects[of_drive])})
