@@ -46,6 +46,7 @@ from asi_analysis.gap.model.rattling import (
 )
 from asi_analysis.gap.model.servo import (
     Servo,
+    begins_moving,
     error_of,
     forms_of,
     hidden_servos,
@@ -76,6 +77,8 @@ OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
 # A coil without effect; bounds of a servo's frequency and damping, relative to those identified.
 NO_LAG_HZ = 1e9
 FREQUENCY_BOUNDS, DAMPING_BOUNDS = (0.2, 40.0), (0.2, 5.0)
+AMID = ('the recording begins off its reference or amid a motion, and the servo is simulated from '
+        'rest: its first response is not explained and may be called unknown; begin at rest')
 SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
 SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
 SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
@@ -158,6 +161,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
         servos, steps, error = _identified_servo(of, extent.hidden)
         followed, notes = with_servo(recordings, runs[0].unit('reference'),
                                      servos[0] if servos else None)
+        notes += [AMID] if any(map(begins_moving, recordings)) else []
         return [_servo(followed, tolerance, False, servos, steps, error)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []

@@ -70,6 +70,11 @@ INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natu
 HIDDEN: Final = (1.0, 8.0)    # natural frequencies of a hidden servo, by its lateness alone
 MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
 MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
+# A recording begins amid a motion if it is so far off its reference, as a share of the motion
+# (rms), or moves by this share of its speed (rms), in the mean of its first samples.
+AWAY: Final = 0.1
+MOVING: Final = 0.3
+FIRST: Final = 5
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
@@ -392,6 +397,15 @@ def loop_of(servo: Servo, leads: Sequence[float]) -> tuple[Free, Free]:
     most = max(MOST_LEAD * 2.0 * servo.damping / servo.pulsation, *(2.0 * each for each in leads))
     return (Free('servo_lead', 0.0, most, tuple(leads), '', 's', anew=True),
             Free('servo_lag_share', 0.0, MOST_LAG, (1.0,) * len(leads), anew=True))
+
+
+def begins_moving(recording: Recording) -> bool:
+    """Return whether a recording begins off its reference, or while the joint moves."""
+    output = recording.output
+    speed = np.gradient(output, recording.period_s)
+    off = abs(float(output[0]) - float(recording.input[0]))
+    return bool(off > AWAY * np.std(output)
+                or abs(float(speed[:FIRST].mean())) > MOVING * np.std(speed))
 
 
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:

@@ -13,6 +13,8 @@ from asi_analysis.gap.document import document
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.servo import begins_moving
+from asi_analysis.gap.prepare import prepare
 from asi_common.jit import FULL, jit
 
 PERIOD_S = 0.005
@@ -85,6 +87,16 @@ def test_friction_of_a_servo_is_found_in_any_unit(scale: float):
     assert run.reference_n is not None and run.position_m is not None
     scaled = replace(run, reference_n=scale * run.reference_n, position_m=scale * run.position_m)
     assert diagnose([scaled], plant='joint').verdict == 'coulomb_friction'
+
+
+@pytest.mark.parametrize(('cut', 'told'), [(0, False), (400, True)])
+def test_a_servo_that_is_recorded_from_amid_a_motion_is_told(cut: int, told: bool):
+    run = run_of()
+    assert run.reference_n is not None and run.position_m is not None
+    part = Run(run.time_s[cut:], reference_n=run.reference_n[cut:],
+               position_m=run.position_m[cut:], source='servo', information=run.information)
+    recording, = prepare([part], 'position', [False])
+    assert begins_moving(recording) == told
 
 
 def test_friction_in_a_slow_motion_is_no_sure_backlash():
