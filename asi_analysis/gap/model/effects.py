@@ -195,9 +195,8 @@ EFFECTS: Effects = {
     ),
     'valve_lag': (
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),), VALVE_SIDE),
-        # Of a piston whose load is off, a second lag is called dead time instead.
         Variant((Free('valve_lag', 0.0, 0.1, (0.001, 0.004, 0.015), '', 's'),
-                 Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE, needs=('load_mass',)),
+                 Free('valve_lag_split', 0.0, 0.5, (0.1,))), VALVE_SIDE),
         Variant((_scaled('valve_flexure_coil_frequency', 0.1, 8.0, (0.5, 2.0)),), VALVE_SIDE,
                 needs=('valve_flexure_model',)),
     ),

@@ -301,8 +301,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     own |= forms_of(servos[0], recordings) if dynamics else {}
     effects = {name: own[name] if name in own and not proportional else tuple(
         form._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
-                                 for free in form.free),
-                      needs=tuple(each for each in form.needs if each != 'load_mass'))
+                                 for free in form.free))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
