@@ -59,6 +59,7 @@ class Recording:
     report: Mask                 # validation samples; only the reported result uses them
     number: int = 0              # of the values of `OF_A_RECORDING` that belong to it
     at_rest: bool = True         # begins at rest
+    begins: tuple[float, float] | None = None   # position and rate of a servo that does not
     origin_m: float | None = None   # piston position at rest, subtracted; None: not at rest
     raw_velocity: Array | None = None   # m/s, as measured
     raw_position: Array | None = None   # m, as measured, from `origin_m`
@@ -76,8 +77,7 @@ class Recording:
     # What each error of the valve's fit, of a standard deviation, changes of the simulator's
     # predictions behind it: n x k, by channel.
     valve_errors: dict[str, Array] = field(default_factory=dict)
-    # What the nominal model of a joint has removed: gravity_sine and gravity_cosine Nm, constant
-    # N; or the fields of its `Servo`.
+    # What the nominal model of a joint removed: gravity_sine and gravity_cosine Nm, constant N.
     taken: Mapping[str, float] = field(default_factory=dict)
     cache: dict[str, dict[Hashable, Array]] = field(default_factory=dict)   # by kind and key
 

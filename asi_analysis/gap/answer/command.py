@@ -216,11 +216,13 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
-            limited = 'acceleration' in weighed.group.recordings[0].taken
-            how = 'as a servo with limits, told below' if limited else 'at once' if (
-                p['valve_flexure_model'] != FULL) else (
+            how = 'at once' if p['valve_flexure_model'] != FULL else (
                 f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}'
-                f', damping ratio {digits(p["valve_flexure_damping_ratio"])}')
+                f', damping ratio {digits(p["valve_flexure_damping_ratio"])}' + ''.join(
+                    f', {word} {digits(p[f"servo_{name}"], unit_of(unit, channel, run, "joint"))}'
+                    for word, name, unit in (('largest speed', 'rate', 'm/s'), (
+                        'largest acceleration', 'acceleration', 'm/s2'))
+                    if p[f'servo_{name}']))
             notes.append(f'nominal drive: the {signal_of(channel, run, "joint")} follows the '
                          + (f'reference {how}' if run.command_n is None else
                             'command at once, in proportion'))

@@ -5,7 +5,7 @@ And as parameters of the node that simulates it (`plant: joint`): `node_paramete
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -37,14 +37,15 @@ HELD: Final = {
                        'friction_asymmetry', 'gravity_sine', 'gravity_cosine')),
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
                         'valve_limit', 'valve_flexure_natural_frequency',
-                        'valve_flexure_damping_ratio'))}
+                        'valve_flexure_damping_ratio', 'servo_rate', 'servo_acceleration',
+                        'servo_friction'))}
 # Fields that the parameters of a node hold.
 WRITTEN: Final = {
     'load': HELD['load'] | {
         'friction_breakaway', 'backlash', 'compliance', 'disturbance', 'disturbance_wave',
         'disturbance_frequency', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
         'sensor_offset', 'sensor_gain_error', 'sensor_lag', 'sensor_drift'},
-    'valve': HELD['valve'] | {'command_quantum', 'command_deadband'}}
+    'valve': HELD['valve'] | {'command_quantum', 'command_deadband', 'servo_breakaway'}}
 # Parameters of a node that are written even where they have the default.
 ALWAYS: Final = frozenset(('joint.type', 'load.mass', 'load.damping'))
 PARAMETERS: Final = frozenset(parameter.name for parameter in JOINT_PARAMETERS)
@@ -53,6 +54,8 @@ NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
                 'load_stiffness': 'stiffness',
                 'valve_flexure_natural_frequency': 'natural frequency',
                 'valve_flexure_damping_ratio': 'damping ratio',
+                'servo_rate': 'limit of the speed',
+                'servo_acceleration': 'limit of the acceleration',
                 'load_offset': 'constant load',
                 'valve_characteristic_gain': 'gain'}
 # Damping of what rubs, as a share of critical, before it slides: the fit has none, and the
@@ -218,31 +221,24 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
     """Return a servo of a unit inertia that follows a reference of its position."""
     recording = weighed.group.recordings[0]
     assert run.reference_n is not None and run.position_m is not None
-    taken, gain = recording.taken, float(p['valve_characteristic_gain'])
+    gain = float(p['valve_characteristic_gain'])
     origin = float(np.nanmean(run.reference_n))
     lag, second = poles(p, 'valve_lag')
     delay = float(p['command_delay']) + second
-    most_push, rate = taken.get('acceleration', np.inf), taken.get('rate', np.inf)
+    rate, most_push = (float(p[f'servo_{name}']) or np.inf for name in ('rate', 'acceleration'))
     limited = bool(np.isfinite(rate))
     unsaid: tuple[str, ...] = ()
     notes: dict[str, str] = {}
     if p['valve_flexure_model'] == FULL:
         w = 2.0 * np.pi * float(p['valve_flexure_natural_frequency'])
         damping = float(p['valve_flexure_damping_ratio'])
-        lead, share = float(p['servo_lead']), float(p['servo_lag_share'])
-        if lead * abs(1.0 - share) > SHARE_LATE * 2.0 * damping / w:   # they do not cancel
-            unsaid = (f'a lead of the servo of {digits(lead, "s")}, and a lag of '
-                      f'{digits(share * lead, "s")} of its integral action',)
-    elif taken:
-        w, damping = taken['pulsation'], taken['damping']
-        notes = {'servo': f'natural frequency {digits(w, "rad/s")}, damping ratio '
-                          f'{digits(damping)} (no interval)'}
+        unsaid = tuple(_loop_in_words(p, w, damping))
         # A push that the damping of the joint balances at the largest speed.
         if limited:
             steady = 2.0 * damping * w * rate
             if most_push < steady:
-                unsaid = (f'acceleration of the servo, at most {digits(most_push)} '
-                          f'{run.unit("position")}/s2',)
+                unsaid += (f'acceleration of the servo, at most {digits(most_push)} '
+                           f'{run.unit("position")}/s2',)
             most_push = steady
     else:
         # The response of a critically damped servo is late by 2 / w, which the delay, then the lag
@@ -257,6 +253,7 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
         run.unit('position') == 'rad', 1.0, gain=w * w * gain, kp=w * w,
         bias=w * w * (origin * (1.0 - gain) + gain * shift),
         kv=0.0 if limited else 2.0 * damping * w, damping=2.0 * damping * w if limited else 0.0,
+        friction=w * w * float(p['servo_friction']),
         delay_s=delay, lag_s=lag, least_command=origin - shift - most,
         most_command=origin - shift + most,
         most_push=most_push, most_speed=rate,
@@ -266,6 +263,17 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
         seen_speed=_most(np.gradient(run.position_m, run.time_s)))
 
 
+def _loop_in_words(p: np.void, w: float, damping: float) -> Iterator[str]:
+    """Yield what the loop of a servo (natural frequency rad/s, damping ratio) has beyond these."""
+    lead, share = float(p['servo_lead']), float(p['servo_lag_share'])
+    if lead * abs(1.0 - share) > SHARE_LATE * 2.0 * damping / w:   # they do not cancel
+        yield (f'a lead of the servo of {digits(lead, "s")}, and a lag of '
+               f'{digits(share * lead, "s")} of its integral action')
+    if p['servo_friction'] > 0.0 and p['servo_integral'] > 0.0:
+        yield ('integral action of the servo, that takes friction over at '
+               f'{digits(float(p["servo_integral"]))} 1/s')
+
+
 def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
     """
     Return the servo of a unit inertia as parameters of a simulated joint.
@@ -273,18 +281,23 @@ def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
     Its acceleration and rate are limited as in the law that was fitted (servo.py), which a force
     against a damping of MJCF only resembles.
     """
-    found, taken = _followed(weighed, p, run), weighed.group.recordings[0].taken
+    found = _followed(weighed, p, run)
     values: dict[str, Value] = {
         'load.mass': found.inertia, 'servo.kp': found.kp, 'servo.kv': found.kv or found.damping,
         'drive.gain': found.gain / found.kp, 'drive.bias': found.bias / found.kp,
         'command_path.delay': found.delay_s - poles(p, 'valve_lag')[1],
-        **_lags(p, 'valve_lag')}
-    if p['valve_flexure_model'] != FULL and not taken:   # at once: the lag is the servo's own
+        'servo.rate_limit': float(p['servo_rate']),
+        'servo.acceleration_limit': float(p['servo_acceleration']), **_lags(p, 'valve_lag')}
+    if found.friction:
+        values['friction.coulomb'] = found.friction
+    if p['servo_breakaway'] > 0.0:
+        breakaway = found.friction * (1.0 + float(p['servo_breakaway']))
+        values |= {'friction.stiction_push': breakaway, 'friction.stiction_pull': breakaway,
+                   'friction.stribeck_velocity': float(p['servo_stribeck'])}
+    if p['valve_flexure_model'] != FULL:   # at once: the lag is the servo's own
         values |= {'command_path.delay': found.delay_s, 'drive.lag_time': found.lag_s,
                    'drive.second_lag_time': 0.0}
-    limits = {'servo.rate_limit': taken.get('rate', np.inf),
-              'servo.acceleration_limit': taken.get('acceleration', np.inf)}
-    return values | {name: float(value) for name, value in limits.items() if np.isfinite(value)}
+    return values
 
 
 def _said(diagnosis: Diagnosis, groups: Mapping[str, Weighed]) -> tuple[list[str], list[str]]:

@@ -22,10 +22,9 @@ from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError, InputWarning
 from asi_analysis.gap.answer import pictures
-from asi_analysis.gap.answer.command import nominal_model
-from asi_analysis.gap.diagnose import diagnose
+from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.diagnosis import Diagnosis
-from asi_analysis.gap.document import document, main_shrink, plain
+from asi_analysis.gap.document import main_shrink
 from asi_analysis.gap.inference.hypotheses import evidence_of
 from asi_analysis.gap.inference.probability import as_plain
 from asi_analysis.gap.model.effects import (
@@ -93,11 +92,11 @@ def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
 def _diagnosed(folder: Path, entry: Mapping[str, Any]) -> Row:
     """Return the diagnosis of a case."""
     started = time.process_time()
-    names = (entry['bag'], *entry.get('more', ()))
-    plant = entry.get('plant', 'actuator')
-    model = nominal_model(folder / entry['model']) if entry.get('model') else {}
-    diagnosis = diagnose([read_bag(folder / name) for name in names], model, plant)
-    answer = plain(document(diagnosis))
+    runs, healthy = ([read_bag(folder / name) for name in names] for names in (
+        (entry['bag'], *entry.get('more', ())), entry.get('baseline', ())))
+    answer = diagnose(runs, folder / entry['model'] if entry.get('model') else None,
+                      entry.get('plant', 'actuator'), baseline=healthy)
+    diagnosis = answer.diagnosis
     row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
                                         'ambiguity_set', 'gap', 'channels')}
     row['seconds'] = time.process_time() - started

@@ -39,11 +39,9 @@ from asi_actuator.model.valve_hysteresis import (
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model.servo import (
-    LOAD,
-    OUTPUT,
-    POSITION,
-    STATES,
+    SERVO_FIELDS,
     disturbed,
+    moving,
     servo_lags,
     servo_step,
 )
@@ -64,14 +62,7 @@ EFFECT_FIELDS = (
     'valve_lag',                # s, of two lags in series
     'valve_lag_split',          # share of the second
     'valve_limit',              # m, 0: none
-    'servo_lead',               # s, of a servo: of its damping, as far as it acts on the reference
-    'servo_lag_share',          # of the lead: the lag of its integral action
-    'servo_friction',           # m, its sliding friction over the stiffness of its loop
-    'servo_breakaway',          # breakaway over sliding friction, less one
-    'servo_stribeck',           # m/s
-    'servo_integral',           # 1/s, the rate at which its integral action takes over a force
-    'servo_load_frequency',     # Hz, of the load on its compliance; 0: the load is rigid
-    'servo_load_damping',       # damping ratio of the load on its compliance
+    *SERVO_FIELDS,
     'orifice_deadband',         # m, half width
     'orifice_bias',             # m
     'force_limit',              # N, 0: none
@@ -182,11 +173,12 @@ def held_command(command, position, step):
 
 
 @jit
-def valve(command, p, e, period, count, out):
+def valve(command, p, e, period, count, out, begins=(math.nan, 0.0)):
     """
     Put the valve position (m) at each sample into `out`.
 
-    command: n valve commands, N, each held for `period` s; `count` sub-steps per sample.
+    command: n valve commands, N, each held for `period` s; `count` sub-steps per sample; begins:
+    position and rate of a servo, nan: at rest where its first command is.
     """
     h = period / count
     wait = e.command_delay / period
@@ -209,8 +201,10 @@ def valve(command, p, e, period, count, out):
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
     behind = valve_position(rest, p)
-    serves, lags, servo = disturbed(e), servo_lags(e, h), np.zeros(STATES)
-    servo[POSITION] = servo[OUTPUT] = servo[LOAD] = rest
+    serves, lags, servo = disturbed(e), servo_lags(e, h), moving(rest, 0.0, e)
+    if begins[0] == begins[0]:
+        servo = moving(begins[0], begins[1], e)
+        pipe, pipe_rate = begins
     for k in range(out.shape[0]):
         position = behind if e.loop_behind > 0.5 else valve_position(pipe, p)
         if e.valve_limit > 0.0:

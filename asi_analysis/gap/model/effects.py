@@ -58,7 +58,7 @@ OF_A_RECORDING = (
     'load_external_force_frequency', 'load_external_force_phase', 'load_external_force_start',
     'load_external_force_end', 'backlash_centre', 'force_sensor_offset', 'force_sensor_drift',
     'force_sensor_drift_curve', 'start_flux', 'start_seal', 'start_supply', 'start_position',
-    'start_velocity', 'loop_start', 'swing_cosine', 'swing_sine')
+    'start_velocity', 'loop_start', 'swing_cosine', 'swing_sine', 'servo_ahead', 'servo_faster')
 
 
 def of_recording(field: str, number: int) -> str:

@@ -50,13 +50,14 @@ from asi_analysis.gap.model.servo import (
     error_of,
     forms_of,
     hidden_servos,
+    in_words,
     loop_of,
     second_order,
     servo_of,
+    settled,
     slow_servo,
     swapped,
     thinned,
-    with_servo,
 )
 from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
@@ -77,8 +78,10 @@ OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
 # A coil without effect; bounds of a servo's frequency and damping, relative to those identified.
 NO_LAG_HZ = 1e9
 FREQUENCY_BOUNDS, DAMPING_BOUNDS = (0.2, 40.0), (0.2, 5.0)
-AMID = ('the recording begins off its reference or amid a motion, and the servo is simulated from '
-        'rest: its first response is not explained and may be called unknown; begin at rest')
+AMID = ('the recording begins off its reference or amid a motion: its first samples, which answer '
+        'to what was before, are left out')
+LIMITS = tuple(Free(f'servo_{name}', 0.3, 3.0, (1.0,), 'nominal') for name in (
+    'rate', 'acceleration'))
 SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
 SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
 SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
@@ -158,11 +161,14 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     recordings = prepare(runs, drive, held_out, extent.band_hz)
     of = prepare(healthy, drive, band_hz=extent.band_hz) if healthy else recordings
     if drive == 'position':
-        servos, steps, error = _identified_servo(of, extent.hidden)
-        followed, notes = with_servo(recordings, runs[0].unit('reference'),
-                                     servos[0] if servos else None)
+        if identifiable := _fits(of):
+            slow = slow_servo(thinned(of))
+            recordings, of = ([settled(r, slow) for r in each] for each in (recordings, of))
+        servos, steps, error = (_identified_servo(of, extent.hidden) if identifiable else
+                                ([], None, SERVO_ERROR))
+        notes = [in_words(servos[0], runs[0].unit('reference'))] if servos else []
         notes += [AMID] if any(map(begins_moving, recordings)) else []
-        return [_servo(followed, tolerance, False, servos, steps, error)], notes
+        return [_servo(recordings, tolerance, False, servos, steps, error)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []
     turns = turns_measured(recordings, runs)
@@ -235,6 +241,11 @@ def _without_hidden_compliance(group: Group) -> Group:
                                    if name != 'load_compliance'})
 
 
+def _fits(recordings: Sequence[Recording]) -> bool:
+    """Return whether recordings have samples to fit to, and to choose by."""
+    return any(r.fit.any() for r in recordings) and any(r.held_out.any() for r in recordings)
+
+
 def _identified_servo(recordings: Sequence[Recording], hidden: bool
                       ) -> tuple[list[Servo], Steps | None, float]:
     """
@@ -243,9 +254,6 @@ def _identified_servo(recordings: Sequence[Recording], hidden: bool
     That of a drive without dynamics (rms, as a share of the motion): small if the residual of a
     delay and a lag, which are effects then, is hardly more than noise.
     """
-    if not all(any(part.any() for part in parts) for parts in (
-            [r.fit for r in recordings], [r.held_out for r in recordings])):
-        return [], None, SERVO_ERROR
     decimated = thinned(recordings)
     slow = slow_servo(decimated)
     steps = steps_of(decimated, slow)
@@ -266,19 +274,20 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     Return the group of a drive that should follow its command at once, or as a servo.
 
     proportional: its gain is identified, and not 1; steps: quantisation of its reference. servos:
-    without limits, the first one takes the place of the actuator's flexure. Its frequency and
-    damping are free in every fit, since a lag or a delay beside it resembles another servo; fits
-    with effects start from each of them.
+    the first one takes the place of the actuator's flexure. Its frequency, damping and limits are
+    free in every fit, since a lag or a delay beside it resembles another servo; fits with effects
+    start from each of them.
     """
     nominal = plant_record(IDEAL)
     dynamics: tuple[Free, ...] = ()
-    if servos and not servos[0].limited:
+    if servos:
         servo = servos[0]
         nominal['valve_flexure_model'] = FULL
         nominal['valve_flexure_coil_frequency'] = NO_LAG_HZ
         nominal['valve_flexure_delay'] = 0.0
         nominal['valve_flexure_natural_frequency'] = 0.5 * servo.pulsation / np.pi
         nominal['valve_flexure_damping_ratio'] = servo.damping
+        nominal['servo_rate'], nominal['servo_acceleration'] = servo.rate, servo.acceleration
         # With integral action in its loop, a lag goes with a lead.
         starts = [(each, 0.0) for each in (*servos, *swapped(servos))] + [
             (each, each.lag) for each in servos if each.lag > 0.0]
@@ -286,7 +295,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
             getattr(each, own) / getattr(servo, own) for each, _ in starts), 'nominal', anew=True)
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
                                       ('damping_ratio', 'damping', DAMPING_BOUNDS))
-        ), *loop_of(servo, [lead for _, lead in starts])
+        ), *(LIMITS if servo.limited else loop_of(servo, [lead for _, lead in starts]))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:
@@ -326,7 +335,7 @@ def _near(free: Free, servos: Sequence[Servo]) -> Free:
     own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
         free.field, '')
     guess = [getattr(each, own) for each in servos
-             if own == 'delay' or (own and not each.limited)]
+             if own]
     return free._replace(starts=(*filter(None, guess), *free.starts))
 
 

@@ -3,10 +3,10 @@ The servo of a joint that follows a reference: second order, with limits of spee
 
     a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
 
-Without limits, what disturbs it can be part of it: dry friction, a load on a compliance. Its
-damping may act on the reference too: a lead; with integral action in the loop, a lag goes with it.
-A force is given over the stiffness of the loop, as a position; integral action takes a constant
-one over, in 1 / integral s.
+What disturbs it can be part of it: dry friction, a load on a compliance. Its damping may act on
+the reference too: a lead; with integral action in the loop, a lag goes with it. A force is given
+over the stiffness of the loop, as a position; integral action takes a constant one over, in
+1 / integral s.
 
 It is the nominal model if its residual is far smaller than that of a delay with a first-order lag.
 """
@@ -48,6 +48,11 @@ LINEAR: Final = (*LATE, 'split')
 # What is fitted of a servo with limits. Pulsation times period, rad, above which delays of whole
 # samples are tried, and how many; a residual by which they are given up, relative to the best.
 LIMITED: Final = ('pulsation', 'damping', 'rate', 'acceleration')
+# Initial guesses, in multiples of what a fit without limits has: natural frequency, largest speed,
+# acceleration over their product.
+FASTER: Final = (1.0, 2.0, 4.0)
+RATES: Final = (0.7, 1.0, 3.0)
+RISES: Final = (0.3, 0.7, 2.0)
 COARSE: Final = 0.05
 MOST_LATE: Final = 12
 WORSE: Final = 4.0
@@ -63,7 +68,8 @@ FOLLOWED: Final = 3
 # velocity, as a share of the fastest motion; of the frequency of a load on its compliance, as a
 # multiple of the servo's, and its damping ratio: more would be a lag of two poles.
 FRICTIONS: Final = (0.003, 0.01, 0.03, 0.1)
-STRIBECKS: Final = (0.02, 0.1, 0.5)
+STRIBECKS: Final = (0.01, 0.05, 0.2)
+FAST: Final = 0.99
 LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
 LOAD_DAMPINGS: Final = (0.0, 0.15, 0.4)
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
@@ -75,26 +81,45 @@ MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
 AWAY: Final = 0.1
 MOVING: Final = 0.3
 FIRST: Final = 5
+# What was before has decayed after so many time constants, at most this share of a recording.
+DECAYED: Final = 6.0
+MOST_DECAYED: Final = 0.3
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
 # Position and rate of the drive, its output, position and rate of the load, force taken over.
 STATES = 6
 POSITION, RATE, OUTPUT, LOAD, LOAD_RATE, TAKEN = range(STATES)
+# What a servo is beyond a lag of second order: fields of the plant's record, null at zero.
+SERVO_FIELDS = (
+    'servo_rate',               # m/s, limit
+    'servo_acceleration',       # m/s2, limit
+    'servo_lead',               # s, of its damping, as far as it acts on the reference
+    'servo_lag_share',          # of the lead: the lag of its integral action
+    'servo_friction',           # m, its sliding friction over the stiffness of its loop
+    'servo_breakaway',          # breakaway over sliding friction, less one
+    'servo_stribeck',           # m/s
+    'servo_integral',           # 1/s, the rate at which its integral action takes over a force
+    'servo_load_frequency',     # Hz, of the load on its compliance; 0: the load is rigid
+    'servo_load_damping',       # damping ratio of the load on its compliance
+    'servo_ahead',              # m, at the start, of the drive before the load
+    'servo_faster',             # m/s, the same of its rate
+)
+SERVO_DTYPE = np.dtype([(name, np.float64) for name in SERVO_FIELDS])
 
 
 class Servo(NamedTuple):
     """
     Natural frequency rad/s, damping ratio, limits of rate and acceleration, delay s, lag s.
 
-    Limits in units of the reference per s and per s2, inf: none. split: share of the lag that is
+    Limits in units of the reference per s and per s2, 0: none. split: share of the lag that is
     its second pole, at most a half.
     """
 
     pulsation: float
     damping: float
-    rate: float = math.inf
-    acceleration: float = math.inf
+    rate: float = 0.0
+    acceleration: float = 0.0
     delay: float = 0.0
     lag: float = 0.0
     split: float = 0.0
@@ -102,13 +127,29 @@ class Servo(NamedTuple):
     @property
     def limited(self) -> bool:
         """Return whether rate or acceleration are limited."""
-        return math.isfinite(self.rate) or math.isfinite(self.acceleration)
+        return self.rate > 0.0 or self.acceleration > 0.0
+
+    @property
+    def late_s(self) -> float:
+        """Return its mean delay: that of a slow motion, s."""
+        return self.delay + self.lag + 2.0 * self.damping / self.pulsation
 
 
 @jit
 def disturbed(e):
     """Return whether a servo is more than a lag of second order."""
-    return e.servo_lead > 0.0 or e.servo_friction > 0.0 or e.servo_load_frequency > 0.0
+    return (e.servo_lead > 0.0 or e.servo_friction > 0.0 or e.servo_load_frequency > 0.0
+            or e.servo_rate > 0.0 or e.servo_acceleration > 0.0)
+
+
+@jit
+def moving(position, rate, e):
+    """Return the STATES of a servo whose load is at a position (m) and moves at a rate (m/s)."""
+    state = np.zeros(STATES)
+    state[LOAD], state[LOAD_RATE] = position, rate
+    state[POSITION] = state[OUTPUT] = position + e.servo_ahead
+    state[RATE] = rate + e.servo_faster
+    return state
 
 
 @jit
@@ -128,11 +169,8 @@ def servo_step(state, drawn, lag, lags, e):
     """
     load, output, left = lags
     led, before = state[POSITION] + e.servo_lead * state[RATE], state[OUTPUT]
-    if e.servo_friction > 0.0:
-        friction = rub(state, drawn + state[TAKEN], lag, e)
-        state[TAKEN] = friction + (state[TAKEN] - friction) * left
-    else:
-        state[POSITION], state[RATE] = second_order_step(state[POSITION], state[RATE], drawn, lag)
+    friction = drive_step(state, drawn + state[TAKEN], lag, e)
+    state[TAKEN] = friction + (state[TAKEN] - friction) * left
     state[OUTPUT] = output.keep * before + output.old * led + output.new * (
         state[POSITION] + e.servo_lead * state[RATE])
     if e.servo_load_frequency == 0.0:
@@ -143,48 +181,60 @@ def servo_step(state, drawn, lag, lags, e):
 
 
 @jit
-def rub(state, drawn, lag, e):
+def drive_step(state, drawn, lag, e):
     """
-    Move a servo with dry friction for a sub-step; return the friction, as a position (m).
+    Move the drive of a servo for a sub-step; return its dry friction, as a position (m).
 
-    At rest the friction is what holds, up to breakaway (Karnopp 1985); a motion that it stops
-    ends within the sub-step. drawn: the position to which the loop pulls, m.
+    The acceleration is limited as that of a motor is, without the friction; a motion that friction
+    stops ends within the sub-step. drawn: the position to which the loop pulls, m.
     """
     position, rate = state[POSITION], state[RATE]
-    pull = drawn - position
-    rise = e.servo_breakaway
-    if rate == 0.0:
-        if abs(pull) <= e.servo_friction * (1.0 + rise):
-            return pull
-        friction = math.copysign(e.servo_friction * (1.0 + rise), pull)
-    else:
-        if rise > 0.0:
-            rise *= math.exp(-abs(rate) / e.servo_stribeck)
-        friction = math.copysign(e.servo_friction * (1.0 + rise), rate)
-    state[POSITION], state[RATE] = second_order_step(position, rate, drawn - friction, lag)
-    if rate * state[RATE] < 0.0:
-        share = rate / (rate - state[RATE])
-        state[POSITION], state[RATE] = position + share * lag.half_step * rate, 0.0
+    friction = rub(drawn - position, rate, e)
+    if rate == 0.0 and friction == drawn - position:
+        return friction
+    _, after = second_order_step(position, rate, drawn, lag)
+    if e.servo_acceleration > 0.0:
+        most = 2.0 * lag.half_step * e.servo_acceleration
+        after = min(max(after, rate - most), rate + most)
+    after -= lag.pull * friction
+    if friction != 0.0 and rate * after < 0.0:
+        state[POSITION] = position + lag.half_step * rate * rate / (rate - after)
+        state[RATE] = 0.0
+        return friction
+    if e.servo_rate > 0.0:
+        after = min(max(after, -e.servo_rate), e.servo_rate)
+    state[POSITION], state[RATE] = position + lag.half_step * (rate + after), after
     return friction
 
 
 @jit
-def _follow(reference, start, period, steps, pulsation, damping, rate, acceleration, out):
-    step = period / steps
-    position, speed = start, 0.0
+def rub(pull, rate, e):
+    """Return the dry friction of a servo (m): at rest what holds, up to breakaway (Karnopp)."""
+    if e.servo_friction == 0.0:
+        return 0.0
+    rise = e.servo_breakaway
+    if rate == 0.0:
+        most = e.servo_friction * (1.0 + rise)
+        return min(max(pull, -most), most)
+    if rise > 0.0:
+        rise *= math.exp(-abs(rate) / e.servo_stribeck)
+    return math.copysign(e.servo_friction * (1.0 + rise), rate)
+
+
+@jit
+def _follow(reference, begins, period, steps, pulsation, damping, e, out):
+    h = period / steps
+    lag, lags = second_order_lag(pulsation / (2.0 * math.pi), damping, h), servo_lags(e, h)
+    state = moving(begins[0], begins[1], e)
     for k in range(reference.size):
-        out[k] = position
+        out[k] = state[OUTPUT]
         for _ in range(steps):
-            push = pulsation * pulsation * (reference[k] - position)
-            # The damping is implicit, so that no sub-step overshoots.
-            wanted = (speed + step * push) / (1.0 + 2.0 * step * damping * pulsation)
-            change = min(max(wanted - speed, -step * acceleration), step * acceleration)
-            speed = min(max(speed + change, -rate), rate)
-            position += step * speed
+            servo_step(state, reference[k], lag, lags, e)
 
 
-def follow(servo: Servo, reference: Array, start: float, period: float) -> Array:
-    """Return the response of a servo at rest at `start` to a reference held for a period (s)."""
+def follow(servo: Servo, reference: Array, start: float, period: float, rate: float = 0.0
+           ) -> Array:
+    """Return the response of a servo at `start` to a reference held for a period (s)."""
     time = period * np.arange(reference.size)
     late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
     for time_constant in (servo.split * servo.lag, (1.0 - servo.split) * servo.lag):
@@ -193,8 +243,10 @@ def follow(servo: Servo, reference: Array, start: float, period: float) -> Array
         keep = math.exp(-period / time_constant)
         late = lfilter([1.0 - keep], [1.0, -keep], late, zi=[keep * start])[0]
     steps = min(max(math.ceil(period * servo.pulsation / SUB_STEP), 1), MOST_SUB_STEPS)
-    out = np.empty_like(reference)
-    _follow(np.ascontiguousarray(late), start, period, steps, *servo[:4], out)
+    out, limits = np.empty_like(reference), np.zeros(1, SERVO_DTYPE)[0]
+    limits['servo_rate'], limits['servo_acceleration'] = servo.rate, servo.acceleration
+    _follow(np.ascontiguousarray(late), (start, rate), period, steps, servo.pulsation,
+            servo.damping, limits, out)
     return out
 
 
@@ -282,7 +334,7 @@ def hidden_servos(slow: Servo) -> list[Servo]:
 
     What an effect hides may be late because of that effect, as friction delays a slow motion.
     """
-    pulsation = 2.0 * DAMPING / (slow.delay + 2.0 * slow.damping / slow.pulsation)
+    pulsation = 2.0 * DAMPING / slow.late_s
     return [Servo(faster * pulsation, DAMPING) for faster in HIDDEN]
 
 
@@ -322,11 +374,16 @@ def _limited(delayed: Servo, recordings: Sequence[Recording]) -> Servo:
     period = max(r.period_s for r in recordings)
     speed = max(float(np.abs(np.diff(response_of(delayed, r))).max()) / r.period_s
                 for r in recordings)
-    start = delayed._replace(rate=0.7 * speed, acceleration=0.5 * delayed.pulsation * speed)
-    best = _fitted(start, (*LIMITED, 'delay'), recordings)
+    starts = sorted((
+        delayed._replace(pulsation=faster * delayed.pulsation, rate=rate * speed,
+                         damping=damping, acceleration=rise * delayed.pulsation * speed)
+        for faster in FASTER for damping in (delayed.damping, DAMPING)
+        for rate in RATES for rise in RISES), key=power)[:FOLLOWED]
+    best = min((_fitted(each, (*LIMITED, 'delay'), recordings) for each in starts), key=power)
     if period * delayed.pulsation < COARSE:
         return best
-    start = start._replace(pulsation=2.0 * start.pulsation)
+    start = delayed._replace(pulsation=2.0 * delayed.pulsation, rate=0.7 * speed,
+                             acceleration=0.5 * delayed.pulsation * speed)
     for late in range(MOST_LATE + 1):
         start = _fitted(start._replace(delay=late * period), LIMITED, recordings)
         if power(start) > WORSE * power(best):
@@ -342,7 +399,7 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
 
     delayed: the fit of a servo with a delay, which has the same mean delay.
     """
-    late = delayed.delay + 2.0 * delayed.damping / delayed.pulsation
+    late = delayed.late_s
     split = LAG_SPLIT if one_pole else 0.0
     power = partial(_power, recordings=recordings, part='fit')
     starts = sorted((Servo(2.0 * damping / ((1.0 - share) * late), damping, lag=share * late,
@@ -358,7 +415,8 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
     """Return the forms of the effects within a servo of second order, by name."""
     amplitude = max(float(np.ptp(r.valve_position[r.valid])) for r in recordings
                     if r.valve_position is not None)
-    speed = servo.pulsation * amplitude
+    speed = max(float(np.quantile(np.abs(np.diff(r.output)), FAST)) / r.period_s
+                for r in recordings)
     low, start, high = STRIBECKS
     friction = (
         Free('servo_friction', 0.0, amplitude, tuple(
@@ -368,10 +426,13 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
     sticking = (Free('servo_breakaway', 0.25, 6.0, (1.0,)),
                 Free('servo_stribeck', low * speed, high * speed, (start * speed,), '', 'm/s'))
     frequency = servo.pulsation / (2.0 * math.pi)
-    compliance = (
+    compliance: tuple[Free, ...] = (
         Free('servo_load_frequency', 0.3 * frequency, 20.0 * frequency, tuple(
             each * frequency for each in LOAD_FREQUENCIES), '', 'Hz'),
         Free('servo_load_damping', LOAD_DAMPINGS[0], LOAD_DAMPINGS[-1], (LOAD_DAMPINGS[1],)))
+    if any(r.begins for r in recordings):   # its state is not measured, and decays slowly
+        compliance += (Free('servo_ahead', -amplitude, amplitude, (0.0,)),
+                       Free('servo_faster', -2.0 * speed, 2.0 * speed, (0.0,)))
     return {name: (Variant(free, ('valve',)),) for name, free in (
         ('coulomb_friction', friction), ('stiction', (*friction, *sticking)),
         ('load_compliance', compliance))}
@@ -408,6 +469,26 @@ def begins_moving(recording: Recording) -> bool:
                 or abs(float(speed[:FIRST].mean())) > MOVING * np.std(speed))
 
 
+def settled(recording: Recording, servo: Servo) -> Recording:
+    """
+    Return a recording that begins where it is, if it begins amid a motion.
+
+    Without the response to the reference before it, which is not known, and has decayed after a
+    time.
+    """
+    if not begins_moving(recording):
+        return recording
+    slowest = max(servo.late_s, servo.delay + servo.lag + 1.0 / (servo.damping * servo.pulsation))
+    count = min(math.ceil(DECAYED * slowest / recording.period_s),
+                int(MOST_DECAYED * recording.fit.size))
+    later = np.arange(recording.fit.size) >= count
+    first = recording.output[:FIRST]
+    _, rate, start = np.polyfit(recording.time_s[:first.size], first, 2)
+    return replace(recording, begins=(float(start), float(rate)),
+                   **{part: getattr(recording, part) & later
+                      for part in ('fit', 'held_out', 'report')})
+
+
 def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[Recording]:
     """Return recordings with at most so many samples, to fit a servo to."""
     every = math.ceil(sum(r.fit.size for r in recordings) / most)
@@ -417,29 +498,15 @@ def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[R
 
 
 def response_of(servo: Servo, recording: Recording) -> Array:
-    """Return the response of a servo to the command, from the measured initial value."""
-    return follow(servo, recording.input, float(recording.output[0]), recording.period_s)
+    """Return the response of a servo to the command, from the measured initial state."""
+    start, rate = recording.begins or (float(recording.output[0]), 0.0)
+    return follow(servo, recording.input, start, recording.period_s, rate)
 
 
-def with_servo(recordings: list[Recording], unit: str, servo: Servo | None
-               ) -> tuple[list[Recording], list[str]]:
-    """
-    Return recordings whose command has passed through a servo with limits, and notes.
-
-    The servo's delay stays an effect. A servo without limits is part of the fits instead. servo:
-    None, if a delay and a lag suffice.
-    """
-    if servo is None:
-        return recordings, []
-    note = (f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
-            f'ratio {servo.damping:.3g}')
-    if not servo.limited:
-        return recordings, [f'{note}, the initial guess of the fit']
-    at_once = servo._replace(delay=0.0, lag=0.0, split=0.0)
+def in_words(servo: Servo, unit: str) -> str:
+    """Return a servo that was identified, in words; unit: of its reference."""
     limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
-        ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2'))
-        if math.isfinite(value)]
-    # A command acts from its sample on, so an ideal servo has reached it at the next sample.
-    moved = [np.append((found := response_of(at_once, r))[1:], found[-1]) for r in recordings]
-    return ([replace(r, command=each, taken=at_once._asdict())
-             for r, each in zip(recordings, moved, strict=True)], [', '.join((note, *limits))])
+        ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2')) if value]
+    return ', '.join((
+        f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
+        f'ratio {servo.damping:.3g}', *limits, 'the initial guess of the fit'))

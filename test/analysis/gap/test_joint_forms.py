@@ -66,4 +66,4 @@ def test_a_slowly_sampled_servo_has_its_limits_and_its_delay():
     assert answer.verdict == 'transport_delay'
     assert answer.which[0]['parameters']['command_delay'] == pytest.approx(0.04, abs=0.006)
     assert answer.gap['after_nrmse'] < 0.01
-    assert any('follows the reference as a servo with limits' in note for note in answer.notes)
+    assert any('largest acceleration 5' in note for note in answer.notes)
