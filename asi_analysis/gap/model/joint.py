@@ -45,6 +45,7 @@ from asi_analysis.gap.model.rattling import (
     rattling_mechanics,
 )
 from asi_analysis.gap.model.servo import (
+    DAMPINGS,
     Servo,
     begins_moving,
     error_of,
@@ -75,9 +76,9 @@ IDEAL: dict[str, Value] = {**OFF, 'valve_characteristic.gain': 1.0, 'command_lim
                            'valve_characteristic.full_opening': 0.01}
 # Parameters with another range than the actuator's: the inertia of a joint may be very small.
 OF_ANY_SIZE = frozenset(('load.mass', 'load.damping', 'load.stiffness'))
-# A coil without effect; bounds of a servo's frequency and damping, relative to those identified.
+# A coil without effect; bounds of a servo's frequency, relative to that identified.
 NO_LAG_HZ = 1e9
-FREQUENCY_BOUNDS, DAMPING_BOUNDS = (0.2, 40.0), (0.2, 5.0)
+FREQUENCY_BOUNDS = (0.2, 40.0)
 AMID = ('the recording begins off its reference or amid a motion: its first samples, which answer '
         'to what was before, are left out')
 LIMITS = tuple(Free(f'servo_{name}', 0.3, 3.0, (1.0,), 'nominal') for name in (
@@ -95,6 +96,9 @@ ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in o
 # A load behind a compliance may oscillate at the start of a recording; damping may be before it.
 LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
+# Initial guesses of a compliance over that which explains the whole motion: a lightly damped
+# resonance guides a fit over a factor of four.
+COMPLIANCES = (0.001, 0.004, 0.015, 0.05, 0.2, 0.6, 1.5, 3.0)
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
@@ -294,7 +298,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         dynamics = *(Free(f'valve_flexure_{name}', *bounds, tuple(
             getattr(each, own) / getattr(servo, own) for each, _ in starts), 'nominal', anew=True)
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
-                                      ('damping_ratio', 'damping', DAMPING_BOUNDS))
+                                      ('damping_ratio', 'damping', [
+                                          each / servo.damping for each in DAMPINGS]))
         ), *(LIMITS if servo.limited else loop_of(servo, [lead for _, lead in starts]))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
@@ -419,8 +424,8 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     low, high = (share * travel for share in BRISTLE)
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
-             # A slower response is that of a compliant load, not of a force sensor.
-             'sensor_lag': Free('', 0.0, 0.01, (0.0005, 0.002, 0.006))}
+             'compliance': Free('', 1e-5, 6.0, COMPLIANCES, 'compliance'),
+             'sensor_lag': Free('', 0.0, 0.05, (0.0005, 0.002, 0.006, 0.02))}
 
     def applies(variant: Variant) -> bool:
         fields = variant.fields

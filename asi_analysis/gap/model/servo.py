@@ -68,6 +68,7 @@ FOLLOWED: Final = 3
 # velocity, as a share of the fastest motion; of the frequency of a load on its compliance, as a
 # multiple of the servo's, and its damping ratio: more would be a lag of two poles.
 FRICTIONS: Final = (0.003, 0.01, 0.03, 0.1)
+LEAST_FRICTION: Final = 1e-4
 STRIBECKS: Final = (0.01, 0.05, 0.2)
 FAST: Final = 0.99
 LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
@@ -186,25 +187,35 @@ def drive_step(state, drawn, lag, e):
     Move the drive of a servo for a sub-step; return its dry friction, as a position (m).
 
     The acceleration is limited as that of a motor is, without the friction; a motion that friction
-    stops ends within the sub-step. drawn: the position to which the loop pulls, m.
+    stops ends within the sub-step, and may start the other way. drawn: the position to which the
+    loop pulls, m.
     """
     position, rate = state[POSITION], state[RATE]
     friction = rub(drawn - position, rate, e)
     if rate == 0.0 and friction == drawn - position:
         return friction
-    _, after = second_order_step(position, rate, drawn, lag)
-    if e.servo_acceleration > 0.0:
-        most = 2.0 * lag.half_step * e.servo_acceleration
-        after = min(max(after, rate - most), rate + most)
+    most = 2.0 * lag.half_step * e.servo_acceleration
+    after = pushed(rate, second_order_step(position, rate, drawn, lag)[1], most)
     after -= lag.pull * friction
-    if friction != 0.0 and rate * after < 0.0:
-        state[POSITION] = position + lag.half_step * rate * rate / (rate - after)
-        state[RATE] = 0.0
-        return friction
+    if friction != 0.0 and rate * after < 0.0:   # it stops, and may start the other way
+        share = rate / (rate - after)
+        position += share * lag.half_step * rate
+        share, rate = 1.0 - share, 0.0
+        friction = rub(drawn - position, rate, e)
+        after = share * (pushed(0.0, lag.pull * (drawn - position), most) - lag.pull * friction)
+        if friction == drawn - position:
+            after = 0.0
+        position += share * lag.half_step * after - lag.half_step * after
     if e.servo_rate > 0.0:
         after = min(max(after, -e.servo_rate), e.servo_rate)
     state[POSITION], state[RATE] = position + lag.half_step * (rate + after), after
     return friction
+
+
+@jit
+def pushed(rate, after, most):
+    """Return the rate after a sub-step, that changes by at most `most`; 0: no limit."""
+    return min(max(after, rate - most), rate + most) if most > 0.0 else after
 
 
 @jit
@@ -419,7 +430,7 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
                 for r in recordings)
     low, start, high = STRIBECKS
     friction = (
-        Free('servo_friction', 0.0, amplitude, tuple(
+        Free('servo_friction', LEAST_FRICTION * amplitude, amplitude, tuple(
             each * amplitude for each in FRICTIONS), '', 'm'),
         Free('servo_integral', 0.0, INTEGRALS[-1] * servo.pulsation, tuple(
             each * servo.pulsation for each in INTEGRALS[:-1]), '', '1/s'))

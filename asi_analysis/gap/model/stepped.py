@@ -5,6 +5,7 @@ Its origin is arbitrary, as that of the position is. If the quantisation is not 
 of second order looks like one of first order with noise.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,20 +15,25 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.servo import Servo, left_of, response_of, second_order, thinned
+from asi_analysis.gap.model.servo import (
+    ALMOST,
+    Servo,
+    left_of,
+    response_of,
+    second_order,
+    thinned,
+)
 from asi_analysis.gap.prepare import Recording
 
-MOST_STEPS: Final = 60     # over the range of the reference
-# Initial guesses: all numbers of steps over the range and all phases, at this spacing; at most so
-# many samples are used; the best ones are refined, with ranges that become smaller.
-SPACING: Final = 0.1
+MOST_STEPS: Final = 400    # over the range of the reference
+# Initial guesses: all numbers of steps over the range, at this spacing; at most so many samples
+# are used; the best ones are refined, with ranges that become smaller.
+SPACING: Final = 0.2
 GUESS_SAMPLES: Final = 3000
-CANDIDATES: Final = 5
+CANDIDATES: Final = 10
 OFFSETS: Final = np.linspace(-1.0, 1.0, 5)
 RANGES: Final = (0.05, 0.025, 0.012, 0.006, 0.003)
-# No steps are looked for if the residual power without them is below this share of the motion's;
-# they are accepted if the residual power with them is below this share of that without.
-NO_STEPS: Final = 1e-4
+# Steps are accepted if the residual power with them is below this share of that without.
 MOST_RESIDUAL: Final = 0.6
 
 
@@ -54,12 +60,12 @@ def steps_of(recordings: Sequence[Recording], slow: Servo) -> Steps | None:
     slow: a delay and a lag, fitted without quantisation.
     """
     fitted = [r for r in recordings if r.fit.any()]
-    power = max(float(np.var(r.output[r.known])) for r in fitted)
+    noise = max(r.noise['valve_position'] for r in fitted)
 
     def left(servo: Servo, steps: Steps | None, part: str = 'fit') -> float:
         return float(np.mean(left_of(servo, in_steps(recordings, steps), part) ** 2))
 
-    if left(slow, None, 'held_out') < NO_STEPS * power:
+    if left(slow, None, 'held_out') < (ALMOST * noise) ** 2:
         return None
     reference = _reference(recordings)
     found = []
@@ -104,22 +110,30 @@ def _moved(steps: Steps, reference: Array, more: float, later: float) -> Steps:
 
 
 def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
-    """Return candidates for the quantisation: the best of a grid, by the residual of a servo."""
+    """
+    Return candidates for the quantisation: the best of a grid, by the residual of a servo.
+
+    Rounding to steps of q adds -q/pi sin(2 pi (r/q - phase)) to a reference r, and harmonics of
+    it. What the servo makes of that wave is fitted to the residual, for each q.
+    """
     r = thinned([recording], GUESS_SAMPLES)[0]
     reference = r.input
     size, span = reference.size, float(np.ptp(reference))
-    error = r.output - response_of(servo, r)
+    error = (r.output - response_of(servo, r))[r.fit]
+    error -= error.mean()
     one = np.ones(size)
     one[0] = 0.0
-    jump = replace(r, command=one, valve_position=np.zeros(size))
+    jump = replace(r, command=one, valve_position=np.zeros(size), begins=None)
     length = next_fast_len(2 * size, real=True)
     response = rfft(np.diff(response_of(servo, jump), append=1.0), length)
-    power = {}
+    explained = {}
     for count in np.arange(1.5, MOST_STEPS, SPACING):
-        tried = [Steps(span / count, phase) for phase in np.arange(0.0, 1.0, SPACING)]
-        changes = np.array([steps.of(reference) - reference for steps in tried])
-        moved = irfft(response * rfft(changes, length), length)[:, :size]
-        left = np.var((error - moved)[:, r.fit], axis=1)
-        best = int(np.argmin(left))
-        power[tried[best]] = left[best]
-    return sorted(power, key=lambda steps: power[steps])[:CANDIDATES]
+        angle = 2.0 * math.pi * count / span * reference
+        waves = irfft(response * rfft([np.sin(angle), np.cos(angle)], length), length)[:, :size]
+        waves = waves[:, r.fit]
+        waves -= waves.mean(axis=1, keepdims=True)
+        power, shared = waves @ waves.T, waves @ error
+        sine, cosine = np.linalg.solve(power + 1e-12 * np.trace(power) * np.eye(2), shared)
+        steps = Steps(span / count, math.atan2(cosine, -sine) / (2.0 * math.pi))
+        explained[steps] = sine * shared[0] + cosine * shared[1]
+    return sorted(explained, key=lambda steps: -explained[steps])[:CANDIDATES]
