@@ -1,6 +1,7 @@
 """`analyze`: step response, bandwidth, delay and oscillation of a run together."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -88,9 +89,7 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     name = run.output(signal)
     step, swing, width = (step_response(run, name), measure.oscillation(run, name),
                           loop_bandwidth(run, name))
-    notes = [f'fault at {change.time_s:.6g} s, the valve command is 0 from there on: '
-             f'{change.reason}' for change in run.states if change.state == 'fault']
-    notes += step.notes
+    notes = [*_faults(run), *step.notes]
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     if swing.frequency_hz and run.reference_n is None:
         notes.append(DRIVEN)
@@ -123,6 +122,15 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
         'quality': step.quality,
         'reliable': reliable,
     }, run=run, step=step)
+
+
+def _faults(run: Run) -> Iterator[str]:
+    """Yield a sentence on each fault of the actuator, and on its end by a reset."""
+    for change, after in zip_longest(run.states, run.states[1:]):
+        if change.state == 'fault':
+            until = f'until {after.time_s:.6g} s' if after else 'from there on'
+            yield (f'fault at {change.time_s:.6g} s, the valve command is 0 {until}: '
+                   f'{change.reason}')
 
 
 class Oscillation(Result):
