@@ -41,9 +41,11 @@ MOST_SECTIONS: Final = MOST_POLES // 2 + 1   # the last for the notch
 # The gain in use while the parameter `gain` is 0, by compensator.
 OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
 
-# Values of `fresh`: at the next sample the memory is initialised to the steady state. REST: of a
-# constant error, with the lag at rest; TAKE_OVER: of the slope of the error, with the lag at the
-# running command.
+# For so long, the time constant of the frequency of the limit cycle (s), an error is taken to have
+# moved along a line: longer than what a lead remembers, and shorter than a cycle.
+RAMP_S: Final = 1.0 / (2.0 * math.pi * PREWARP_HZ)
+# Values of `fresh`: at the next sample the memory is initialised to that of a constant error, with
+# the lag at rest, or of one that moves as it does now, with the lag at the running command.
 REST: Final = 1
 TAKE_OVER: Final = 2
 
@@ -228,20 +230,33 @@ def _error_steps(running: np.void, c: np.void) -> bool:
 
 
 @jit
+def _through_sections(c, value):
+    """Return an error (N) through the sections; updates their memory."""
+    for i in range(c.count):
+        out = c.sections[i, 0] * value + c.memory[i, 0]
+        c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
+        c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
+        value = out
+    return value
+
+
+@jit
 def _initialise(c, error, slope, slow):
     """
-    Set the memory to the steady state of an error that moves along a line.
+    Set the memory to that of an error which was at rest, and then moved for RAMP_S along a line.
 
     error, slope: the error now, N, and its change in a period, N; slow: last output of the lag, N.
     """
+    ticks = math.ceil(RAMP_S / c.period) if slope != 0.0 else 0
+    value = error - ticks * slope
     for i in range(c.count):
-        b0, b1, b2, a1, a2 = c.sections[i]
-        periods = (b1 + 2.0 * b2) / (b0 + b1 + b2) - (a1 + 2.0 * a2) / (1.0 + a1 + a2)
-        out = error - slope * periods
-        c.memory[i, 0] = out - b0 * error
-        c.memory[i, 1] = b2 * (error - slope) - a2 * (out - slope)
-        error = out
-    c.lag_memory = c.lag[1] * (error - slope) - c.lag[2] * slow
+        b0, _, b2, _, a2 = c.sections[i]
+        c.memory[i, 0] = value - b0 * value
+        c.memory[i, 1] = b2 * value - a2 * value
+    before = value
+    for tick in range(ticks):
+        before = _through_sections(c, value + tick * slope)
+    c.lag_memory = c.lag[1] * before - c.lag[2] * slow
     c.fresh = 0
 
 
@@ -254,7 +269,7 @@ def _slope(c, error):
     """
     if c.fresh == REST or math.isnan(c.slow_error):
         c.slow_error = error
-    kept = math.exp(-2.0 * math.pi * PREWARP_HZ * c.period)
+    kept = math.exp(-c.period / RAMP_S)
     behind = error - c.slow_error
     c.slow_error = error - kept * behind
     return (1.0 - kept) * behind
@@ -337,11 +352,7 @@ def compensate(c, reference, measured, velocity):
     if c.fresh != 0:
         _initialise(c, value, slope,
                     (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
-    for i in range(c.count):
-        out = c.sections[i, 0] * value + c.memory[i, 0]
-        c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
-        c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
-        value = out
+    value = _through_sections(c, value)
     out = c.lag[0] * value + c.lag_memory
     linear = c.gain * out + direct
     wanted = _through_inverse(c, linear)
