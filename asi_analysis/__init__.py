@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from asi_analysis.bags.exchange.exporting import export as export
     from asi_analysis.bags.exchange.importing import import_recording as import_recording
     from asi_analysis.bags.run import Run as Run
+    from asi_analysis.bags.splitting import split_bag as split_bag
     from asi_analysis.errors import InputError as InputError
     from asi_analysis.experiments.running import run as run
     from asi_analysis.gap.answer.command import diagnose as diagnose
@@ -67,6 +68,7 @@ _HOME = {
     'run': 'experiments.running',
     'tune_controller': 'tuning.answer',
     'simulate': 'loop.in_process',
+    'split_bag': 'bags.splitting',
     'step_response': 'measures.step_response',
     'sweep': 'loop.sweep',
     'write_bag': 'bags.bag',

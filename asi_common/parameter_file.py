@@ -46,15 +46,7 @@ def read_parameters(path: Path, node: str) -> dict[str, Value]:
     node: its name, without a namespace; the file may call it `node`, `/node`, `/**/node` or `/**`.
     Raises ParameterError if the file cannot be read or has nothing for the node.
     """
-    try:
-        text = read_text(path)
-        root = yaml.compose(text)   # first: it refuses deep nesting, which takes the parser hours
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
-            raise ParameterError(f'{path}: ROS parameter files have no aliases (*name)')
-    except OSError as error:
-        raise ParameterError(f'{path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ParameterError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
+    root = _root(path)
     sections = [section for name in ('/**', f'/**/{node}', f'/{node}', node)
                 for key, section in _entries(root) if key == name]
     values: dict[str, Value] = {}
@@ -67,6 +59,36 @@ def read_parameters(path: Path, node: str) -> dict[str, Value]:
         raise ParameterError(f'{path} has nothing for the node {node}: it takes a ROS parameter '
                              f'file with {node}: ros__parameters: ...')
     return values
+
+
+def node_names(path: Path) -> list[str]:
+    """
+    Return the names of the nodes in a file, namespaces included, as it writes them.
+
+    Raises ParameterError if the file cannot be read.
+    """
+    def names(node: yaml.Node | None, prefix: str) -> Iterator[str]:
+        for name, below in _entries(node):
+            if name == 'ros__parameters':
+                yield prefix
+            else:
+                yield from names(below, f'{prefix}/{name}' if prefix else name)
+
+    return list(names(_root(path), ''))
+
+
+def _root(path: Path) -> yaml.Node | None:
+    """Return the top of a file. Raises ParameterError if it cannot be read."""
+    try:
+        text = read_text(path)
+        root = yaml.compose(text)   # first: it refuses deep nesting, which takes the parser hours
+        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text)):
+            raise ParameterError(f'{path}: ROS parameter files have no aliases (*name)')
+    except OSError as error:
+        raise ParameterError(f'{path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ParameterError(f'{path} is not YAML: {" ".join(str(error).split())}') from None
+    return root
 
 
 def _entries(node: yaml.Node | None) -> list[tuple[str, yaml.Node]]:

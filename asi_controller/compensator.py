@@ -41,8 +41,11 @@ MOST_SECTIONS: Final = MOST_POLES // 2 + 1   # the last for the notch
 # The gain in use while the parameter `gain` is 0, by compensator.
 OWN_GAIN: Final = {name: each.gain for name, each in COMPENSATORS.items()}
 
-# Values of `fresh`: at the next sample the memory is initialised to the steady state at its error,
-# with the lag at rest, or with the lag at the running command.
+# For so long, the time constant of the frequency of the limit cycle (s), an error is taken to have
+# moved along a line: longer than what a lead remembers, and shorter than a cycle.
+RAMP_S: Final = 1.0 / (2.0 * math.pi * PREWARP_HZ)
+# Values of `fresh`: at the next sample the memory is initialised to that of a constant error, with
+# the lag at rest, or of one that moves as it does now, with the lag at the running command.
 REST: Final = 1
 TAKE_OVER: Final = 2
 
@@ -61,6 +64,7 @@ COMPENSATOR_DTYPE = np.dtype([
     ('bias', np.float64),                            # N, of the bumpless transfer
     ('bias_decay', np.float64),                      # factor of the bias in each tick
     ('command', np.float64),                         # N, the last one
+    ('slow_error', np.float64),                      # N, lagging; NaN: not known
     ('period', np.float64),                          # s
     *record_dtype(ADDITION_PARAMETERS).descr,
     ('integral', np.float64),                        # N, of the integrator
@@ -196,8 +200,10 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
         1.0 / rate_hz)
     if running is not None:
         for name in ('integral', 'reference', 'model_force', 'model_delayed', 'centre',
-                     'velocity', 'observed'):
+                     'velocity', 'observed', 'slow_error'):
             c[name] = running[name]
+        if not c['reference_model_delay']:
+            c['model_delayed'] = c['model_force']
         c['command'], c['changed'] = running['command'], int(transfer > 0.0)
         if (np.array_equal(running['sections'], c['sections'])
                 and np.array_equal(running['lag'], c['lag']) and not _error_steps(running, c)):
@@ -206,6 +212,8 @@ def compensator(values: Mapping[str, Value], rate_hz: float,
             c['lag_memory'] = running['lag_memory'] * running['gain'] / c['gain']
         else:
             c['fresh'] = TAKE_OVER
+        if _error_steps(running, c):
+            c['slow_error'] = math.nan
     return c
 
 
@@ -217,18 +225,54 @@ def _error_steps(running: np.void, c: np.void) -> bool:
     """
     had, has = (each['reference_model_bandwidth'] > 0.0 for each in (running, c))
     return bool((had and not has) or any(
-        running[name] != c[name] for name in ('gain_schedule_velocity', 'gain_schedule_least')))
+        running[name] != c[name]
+        for name in ('gain_schedule_velocity', 'gain_schedule_least', 'model_delayed')))
 
 
 @jit
-def _initialise(c, error, slow):
-    """Set the memory to the steady state at an error (N), with `slow` (N) as output of the lag."""
+def _through_sections(c, value):
+    """Return an error (N) through the sections; updates their memory."""
+    for i in range(c.count):
+        out = c.sections[i, 0] * value + c.memory[i, 0]
+        c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
+        c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
+        value = out
+    return value
+
+
+@jit
+def _initialise(c, error, slope, slow):
+    """
+    Set the memory to that of an error which was at rest, and then moved for RAMP_S along a line.
+
+    error, slope: the error now, N, and its change in a period, N; slow: last output of the lag, N.
+    """
+    ticks = math.ceil(RAMP_S / c.period) if slope != 0.0 else 0
+    value = error - ticks * slope
     for i in range(c.count):
         b0, _, b2, _, a2 = c.sections[i]
-        c.memory[i, 0] = error - b0 * error
-        c.memory[i, 1] = b2 * error - a2 * error
-    c.lag_memory = c.lag[1] * error - c.lag[2] * slow
+        c.memory[i, 0] = value - b0 * value
+        c.memory[i, 1] = b2 * value - a2 * value
+    before = value
+    for tick in range(ticks):
+        before = _through_sections(c, value + tick * slope)
+    c.lag_memory = c.lag[1] * before - c.lag[2] * slow
     c.fresh = 0
+
+
+@jit
+def _slope(c, error):
+    """
+    Return the change of an error (N) in a period, N; updates `c` in place.
+
+    It is that of a lag of the error, which steadies what noise makes of two samples.
+    """
+    if c.fresh == REST or math.isnan(c.slow_error):
+        c.slow_error = error
+    kept = math.exp(-c.period / RAMP_S)
+    behind = error - c.slow_error
+    c.slow_error = error - kept * behind
+    return (1.0 - kept) * behind
 
 
 @jit
@@ -304,26 +348,25 @@ def compensate(c, reference, measured, velocity):
     goal, direct = _additions(c, reference, measured, velocity)
     error = goal - measured
     value = error * scheduled(velocity, c.gain_schedule_velocity, c.gain_schedule_least)
+    slope = _slope(c, value)
     if c.fresh != 0:
-        _initialise(c, value, (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
-    for i in range(c.count):
-        out = c.sections[i, 0] * value + c.memory[i, 0]
-        c.memory[i, 0] = c.sections[i, 1] * value - c.sections[i, 3] * out + c.memory[i, 1]
-        c.memory[i, 1] = c.sections[i, 2] * value - c.sections[i, 4] * out
-        value = out
+        _initialise(c, value, slope,
+                    (c.command - direct) / c.gain if c.fresh == TAKE_OVER else 0.0)
+    value = _through_sections(c, value)
     out = c.lag[0] * value + c.lag_memory
     linear = c.gain * out + direct
+    wanted = _through_inverse(c, linear)
+    possible = _limited(c, wanted)
     if c.changed == 1:
-        # While both are saturated there is no step to fade in. The excess is no part of it: as a
-        # bias it would outlast the saturation.
-        begin, wanted = _limited(c, c.command), _through_inverse(c, linear)
-        c.bias = 0.0 if begin == _limited(c, wanted) else begin - wanted
+        # The excess of a saturated command is no part of the step that is faded in: as a bias it
+        # would outlast the saturation.
+        c.bias = _limited(c, c.command) - possible
         c.changed = 0
-    unlimited = _through_inverse(c, linear) + c.bias
-    c.command = _limited(c, unlimited)
-    excess = unlimited - c.command
-    observe(c.observed, measured, _limited(c, linear + c.bias), c.disturbance_observer_bandwidth,
-            c.period)
+    c.command = _limited(c, possible + c.bias)
+    # Of one sign: where the first is not 0, the bias cannot reach the other limit.
+    excess = wanted - possible + (possible + c.bias - c.command)
+    observe(c.observed, measured, _limited(c, _limited(c, linear) + c.bias),
+            c.disturbance_observer_bandwidth, c.period)
     c.bias *= c.bias_decay
     c.integral = integrate(c.integral, error, excess, c.integrator_rate, c.period)
     memory = c.lag[1] * value - c.lag[2] * out

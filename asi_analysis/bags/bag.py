@@ -346,8 +346,8 @@ def time_base(series: Series, source: str) -> Series:
     if (steps < 0).any() and _clock_was_set_back(ticks):
         k = int(np.argmin(steps))
         raise InputError(f'{source}: the stamps go back by {-1e-9 * steps[k]:.4g} s after '
-                         f'{1e-9 * (ticks[k] - ticks[0]):.6g} s: make one bag of what comes '
-                         'before, and another of what comes after')
+                         f'{1e-9 * (ticks[k] - ticks[0]):.6g} s, where another run begins: '
+                         f'asi split {source} --out DIR makes a bag of each')
     count = len(ticks)
     ticks, first = np.unique(ticks, return_index=True)
     if repeated := count - len(ticks):

@@ -1,4 +1,4 @@
-"""Commands that make and read a recording: run, analyze, import, export."""
+"""Commands that make and read a recording: run, analyze, import, split, export."""
 
 import sys
 from pathlib import Path
@@ -177,6 +177,25 @@ def import_(
             run = import_recording(files, map_ or [], rate, **reading, zero_s=zero, out=out)
             shown = Imported.of(run, out)
     show(shown, as_json)
+
+
+@command('split', 'asi split runs/demo/lead_lag/bag --out parts')
+def split(
+    bag: Bag,
+    out: Annotated[Path, typer.Option(help='Directory of the bags to write: 1, 2 and so on')],
+    as_json: Json = False,
+) -> None:
+    """
+    Divide a recording across restarts or pauses of the actuator: a bag of each part.
+
+    A part ends where the stamps go back, or where none comes for a second.
+    """
+    from asi_analysis.bags.exchange.summary import Split
+    from asi_analysis.bags.splitting import split_bag
+    with bar() as progress:
+        progress('writing', None)
+        written = split_bag(bag, out)
+    show(Split.of(written), as_json)
 
 
 @command('export', 'asi export runs/demo/lead_lag/bag --out lead_lag.csv')

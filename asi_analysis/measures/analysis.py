@@ -1,6 +1,7 @@
 """`analyze`: step response, bandwidth, delay and oscillation of a run together."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,6 @@ from asi_analysis.errors import InputError
 from asi_analysis.measures import oscillation as measure
 from asi_analysis.measures.correlation import repetition
 from asi_analysis.measures.frequency_response import (
-    Bandwidth,
     actuator_bandwidth,
     frequency_response,
     loop_bandwidth,
@@ -89,19 +89,24 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
     name = run.output(signal)
     step, swing, width = (step_response(run, name), measure.oscillation(run, name),
                           loop_bandwidth(run, name))
-    notes = [f'fault at {change.time_s:.6g} s, the valve command is 0 from there on: '
-             f'{change.reason}' for change in run.states if change.state == 'fault']
-    notes += step.notes
+    notes = [*_faults(run), *step.notes]
     notes += [f'oscillation: {swing.reason}'] if swing.reason else []
     if swing.frequency_hz and run.reference_n is None:
         notes.append(DRIVEN)
     notes += [f'bandwidth: {width.reason}'] if width.reason else []
-    figures = (_bandwidth(run, width, name) | tracking(run, name)._asdict()
-               | {'oscillation': swing.to_dict()})
+    # A step excites too few frequencies of the valve command.
+    actuator, doubt = (actuator_bandwidth(run, name, width.lowest_hz)
+                       if width.method == 'excitation' else (None, None))
+    notes += [f'bandwidth from the command: {doubt}'] if doubt else []
+    figures = ({'bandwidth_hz': width.bandwidth_hz, 'bandwidth_method': width.method,
+                'actuator_bandwidth_hz': actuator, 'delay_s': width.delay_s,
+                'correlation_delay_s': width.correlation_delay_s}
+               | tracking(run, name)._asdict() | {'oscillation': swing.to_dict()})
     reliable = dict(step.reliable)
     notes += _withhold_doubtful(run, name, step, findings(run), figures, reliable)
-    if width.reason and width.bandwidth_hz:
-        reliable['bandwidth_hz'] = False
+    for figure, reason in (('bandwidth_hz', width.reason), ('actuator_bandwidth_hz', doubt)):
+        if reason and figures[figure]:
+            reliable[figure] = False
     return Analysis({
         'source': run.source,
         'samples': len(run),
@@ -117,6 +122,15 @@ def analyze(run: Run, signal: str | None = None) -> Analysis:
         'quality': step.quality,
         'reliable': reliable,
     }, run=run, step=step)
+
+
+def _faults(run: Run) -> Iterator[str]:
+    """Yield a sentence on each fault of the actuator, and on its end by a reset."""
+    for change, after in zip_longest(run.states, run.states[1:]):
+        if change.state == 'fault':
+            until = f'until {after.time_s:.6g} s' if after else 'from there on'
+            yield (f'fault at {change.time_s:.6g} s, the valve command is 0 {until}: '
+                   f'{change.reason}')
 
 
 class Oscillation(Result):
@@ -165,14 +179,6 @@ def oscillation(run: Run, signal: str | None = None) -> Oscillation:
     name = run.output(signal)
     found = measure.oscillation(run, name)
     return Oscillation({**found.to_dict(), 'signal': name, 'reason': found.reason}, run=run)
-
-
-def _bandwidth(run: Run, width: Bandwidth, name: str) -> dict[str, Any]:
-    # A step excites too few frequencies of the valve command.
-    actuator = actuator_bandwidth(run, name) if width.method == 'excitation' else None
-    return {'bandwidth_hz': width.bandwidth_hz, 'bandwidth_method': width.method,
-            'actuator_bandwidth_hz': actuator, 'delay_s': width.delay_s,
-            'correlation_delay_s': width.correlation_delay_s}
 
 
 def _withhold_doubtful(run: Run, measured: str, step: StepResponse, found: Sequence[Finding],

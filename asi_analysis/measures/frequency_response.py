@@ -69,6 +69,11 @@ class Estimate(NamedTuple):
     bandwidth_hz: float | None
     delay_s: float | None
 
+    @property
+    def lowest_hz(self) -> float:
+        """The lowest frequencies, whose gain is the level of the bandwidth."""
+        return float(np.median(self.frequency_hz[:AVERAGED_LINES]))
+
 
 def bandwidth(frequency_hz: Array, gain: Array) -> float | None:
     """
@@ -249,22 +254,29 @@ def _is_driven_by_a_sine(run: Run, name: str) -> bool:
     return is_sine(driving[np.isfinite(driving)])
 
 
-def actuator_bandwidth(run: Run, name: str = 'force') -> float | None:
-    """Return the bandwidth (Hz) from command to a signal; None if it cannot be measured."""
+def actuator_bandwidth(run: Run, name: str = 'force', lowest_hz: float = 0.0
+                       ) -> tuple[float | None, str | None]:
+    """
+    Return the bandwidth (Hz) from command to a signal, and why it is doubtful.
+
+    lowest_hz: the lowest frequencies that the reference excites; below them the command has only
+    what noise and friction make of it. None if the bandwidth cannot be measured, or without doubt.
+    """
     output = run.signals().get(name)
-    if run.command_n is None or output is None:
-        return None
-    if _is_driven_by_a_sine(run, 'command'):
-        return None
+    if run.command_n is None or output is None or _is_driven_by_a_sine(run, 'command'):
+        return None, None
     response = estimate(run.command_n, output, run.period_s)
-    return response.bandwidth_hz if response else None
+    if response is None:
+        return None, None
+    return response.bandwidth_hz, _doubt(response.bandwidth_hz, max(lowest_hz, response.lowest_hz))
 
 
 class Bandwidth(NamedTuple):
     """
     Bandwidth and delay of a loop; method: 'excitation', 'step', or None.
 
-    reason: why there is no bandwidth, or why it is doubtful.
+    reason: why there is no bandwidth, or why it is doubtful. lowest_hz: the lowest frequencies
+    that the reference excites, 0 if it is no excitation.
     """
 
     bandwidth_hz: float | None
@@ -272,6 +284,7 @@ class Bandwidth(NamedTuple):
     delay_s: float | None
     correlation_delay_s: float | None
     reason: str | None
+    lowest_hz: float = 0.0
 
 
 def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
@@ -302,19 +315,19 @@ def loop_bandwidth(run: Run, name: str | None = None) -> Bandwidth:
     response = estimate(run.reference_n, output, run.period_s)
     if response is None:
         return Bandwidth(None, None, None, lag, TOO_POOR)
-    reason = _low(response) if response.bandwidth_hz else (
+    reason = _doubt(response.bandwidth_hz, response.lowest_hz) if response.bandwidth_hz else (
         f'the gain does not fall by 3 dB up to {response.frequency_hz[-1]:.4g} Hz, the highest '
         'frequency that is excited')
-    return Bandwidth(response.bandwidth_hz, 'excitation', response.delay_s, lag, reason)
+    return Bandwidth(response.bandwidth_hz, 'excitation', response.delay_s, lag, reason,
+                     response.lowest_hz)
 
 
-def _low(response: Estimate) -> str | None:
-    """Return a doubt if the lowest lines, whose gain is the level, are not at low frequencies."""
-    lowest = float(np.median(response.frequency_hz[:AVERAGED_LINES]))
-    if response.bandwidth_hz is None or response.bandwidth_hz > LOWEST * lowest:
+def _doubt(bandwidth_hz: float | None, lowest_hz: float) -> str | None:
+    """Return a doubt if the lowest frequencies, whose gain is the level, are not low."""
+    if bandwidth_hz is None or bandwidth_hz > LOWEST * lowest_hz:
         return None
-    return (f'doubtful, as it is where the gain is 3 dB below that at {lowest:.4g} Hz, the lowest '
-            'frequencies that are excited: at rest it may be higher')
+    return (f'doubtful, as it is where the gain is 3 dB below that at {lowest_hz:.4g} Hz, the '
+            'lowest frequencies that are excited: at rest it may be higher')
 
 
 class FrequencyResponse(Result):

@@ -4,6 +4,7 @@ import faulthandler
 import gc
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, MutableMapping
@@ -26,6 +27,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from asi_common.executable import end_by_signal, end_while_compiling
+from asi_common.node.parameter_files import unused_files
 from asi_common.node.priority import prefer
 from asi_common.parameter import ParameterError
 from asi_common.signals import SIGNALS, end_quietly
@@ -259,6 +261,7 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     made = end_while_compiling(SIGNALS, 0)
     try:
         node = make_node()
+        warnings = unused_files(sys.argv, node.get_fully_qualified_name())
     except (ParameterError, rclpy_implementation.RCLError) as error:
         # RCLError: the middleware lacks a feature that the environment requests, such as security.
         get_logger('asi').fatal(' '.join(str(error).split()))
@@ -267,8 +270,8 @@ def _run(make_node: Callable[[], Node], at_once: bool) -> int:
     finally:
         making = False
         made()
-    if unprotected:
-        node.get_logger().warning(unprotected)
+    for warning in (*filter(None, [unprotected]), *warnings):
+        node.get_logger().warning(warning)
     if here_alone:
         node.get_logger().info(HERE_ALONE)
     prefer(node)

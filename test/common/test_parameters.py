@@ -13,6 +13,7 @@ from geometry_msgs.msg import WrenchStamped
 from hypothesis import given
 from hypothesis import strategies as st
 
+from asi_common.node.parameter_files import unused_files
 from asi_common.node.ros_parameters import descriptor
 from asi_common.parameter import Parameter, ParameterError, completed, defaults
 from asi_common.topics import REALTIME_DEPTH
@@ -146,6 +147,39 @@ def test_wrong_parameter_file_is_one_line_and_exit_status_2(
     assert words in node.text and 'Traceback' not in node.text
     # rcl itself logs that it failed; why, is in our line.
     assert len([line for line in node.text.splitlines() if '[rcl]' not in line]) == 1
+
+
+@pytest.mark.parametrize(('names', 'node', 'warned'), [
+    (['asi_contoller'], '/asi_controller', True),
+    (['controller'], '/asi_controller', True),
+    (['other'], '/asi_controller', True),
+    (['/bench/asi_controller'], '/asi_controller', True),
+    (['asi_actuator', 'asi_contoller'], '/asi_controller', True),
+    (['asi_actuator', 'asi_contoller'], '/asi_recorder', False),
+    (['asi_controller'], '/asi_actuator', False),
+    (['asi_controller', 'camera'], '/asi_recorder', False),
+    (['asi_controller', 'camera'], '/asi_controller', False),
+    (['asi_controller'], '/bench/asi_controller', True),
+    (['bench/asi_controller'], '/bench/asi_controller', False),
+    (['/**'], '/asi_controller', False),
+    (['/**/asi_controller'], '/a/bench/asi_controller', False),
+    (['/*/asi_controller'], '/bench/asi_controller', False),
+    (['/*/asi_controller'], '/asi_controller', True)], ids=str)
+def test_a_parameter_file_without_the_node_that_gets_it_is_told(
+        names: list[str], node: str, warned: bool, tmp_path: Path) -> None:
+    file = tmp_path / 'parameters.yaml'
+    file.write_text(''.join(f'{name}: {{ros__parameters: {{gain: 5.0}}}}\n' for name in names))
+    given = ['controller', '--ros-args', '--params-file', str(file), '-p', 'gain:=2.0']
+    said = f'{file} has nothing for the node {node}: it names {", ".join(names)}'
+    assert unused_files(given, node) == [said] * warned
+
+
+def test_a_misspelt_node_in_a_parameter_file_is_told(start_node: Callable, tmp_path: Path) -> None:
+    """It ran at its defaults, without a word."""
+    file = tmp_path / 'parameters.yaml'
+    file.write_text('bench: {asi_contoller: {ros__parameters: {gain: 5.0}}}')
+    node = start_node(CONTROLLER, '--params-file', str(file))
+    node.wait_for(f'{file} has nothing for the node /asi_controller: it names bench/asi_contoller')
 
 
 def test_written_files_are_current() -> None:

@@ -226,24 +226,64 @@ def test_change_while_saturated_leaves_the_command_there(saturation: float) -> N
     assert before == [1500.0] * 3 and after == [saturation] * 3
 
 
+def test_change_that_saturates_leaves_nothing_of_it_behind() -> None:
+    # The excess stayed in the bias: the command was -2000 N when the error had gone.
+    values: dict[str, Value] = {'gain': 2.0, 'saturation': 2000.0}
+    c = compensator(values, RATE)
+    before = [compensate(c, 500.0, 0.0, 0.0) for _ in range(3)]
+    c = compensator(values | {'gain': 40.0}, RATE, c)
+    after = [compensate(c, 500.0, force, 0.0) for force in (0.0, 0.0, 500.0)]
+    assert before == [1500.0] * 3 and after[0] == 1500.0
+    assert 1500.0 < after[1] < 2000.0
+    assert 0.0 < after[2] < 500.0
+
+
+def largest_step(before: dict[str, Value], after: dict[str, Value], frequency_hz: float = 4.0,
+                 ticks: int = 300) -> float:
+    """Return the largest step (N) of the command in so many ticks after a change in motion."""
+    p = as_record({'load.type': 'spring', 'load.mass': 1.0, 'load.stiffness': 5e4,
+                   'load.damping': 100.0})
+    state, c, found = rest(), compensator(before, RATE), []
+    for k in range(2600 + ticks):
+        if k == 2600:
+            c = compensator(after, RATE, c)
+        force, _, _, velocity = measure(state, p)
+        reference = 200.0 * math.sin(2.0 * math.pi * frequency_hz * k / RATE)
+        found.append(compensate(c, reference, force, velocity))
+        step(state, found[-1], p, 1.0 / RATE)
+    return float(np.abs(np.diff(found[2590:])).max())
+
+
 @pytest.mark.parametrize('addition', [
     {'reference_model.bandwidth': 100.0},
     {'gain_schedule.velocity': 0.05, 'gain_schedule.least': 0.3}], ids=str)
 def test_addition_that_changes_the_error_is_no_kick_of_the_lead(addition: dict[str, Value]
                                                                 ) -> None:
     """In motion: without it the command jumped by 450 to 1400 N, one tick after the change."""
-    p, lead2 = as_record({'load.type': 'spring', 'load.mass': 1.0, 'load.stiffness': 5e4,
-                          'load.damping': 100.0}), {'compensator': 'lead2'}
+    lead2: dict[str, Value] = {'compensator': 'lead2'}
     for before, after in ((lead2 | addition, lead2), (lead2, lead2 | addition)):
-        state, c, found = rest(), compensator(before, RATE), []
-        for k in range(2900):
-            if k == 2600:
-                c = compensator(after, RATE, c)
-            force, _, _, velocity = measure(state, p)
-            reference = 200.0 * math.sin(8.0 * math.pi * k / RATE)
-            found.append(compensate(c, reference, force, velocity))
-            step(state, found[-1], p, 1.0 / RATE)
-        assert np.abs(np.diff(found[2590:])).max() < 25.0
+        assert largest_step(before, after) < 25.0
+
+
+@pytest.mark.parametrize('name', ['proportional', 'lead2'])
+def test_reference_model_without_delay_from_now_on_is_no_step(name: str) -> None:
+    """The delayed force jumped to the other one a tick after the change: nothing faded it in."""
+    values: dict[str, Value] = {'compensator': name, 'reference_model.bandwidth': 100.0,
+                                'reference_model.delay': 0.01}
+    assert largest_step(values, values | {'reference_model.delay': 0.0}) < 10.0
+
+
+@pytest.mark.parametrize('before', ['lead_lag', 'proportional', 'lead4'])
+def test_change_to_a_lead_in_motion_is_no_kick(before: str) -> None:
+    """The lead took the error for one that had not moved: steps of 4 to 25 N, and 180 at 16 Hz."""
+    assert largest_step({'compensator': before}, {'compensator': 'lead2'}) < 5.0
+    assert largest_step({'compensator': before}, {'compensator': 'lead2'}, 16.0) < 100.0
+
+
+def test_change_to_a_lead_of_slow_roots_is_no_kick() -> None:
+    """Its steady state along a line would be that of a motion far longer than the recent one."""
+    before: dict[str, Value] = {'compensator': 'lead_lag'}
+    assert largest_step(before, before | {'lead_lag.centre_frequency': 0.1}, ticks=20) < 15.0
 
 
 def test_change_between_compensators_with_a_lag_leaves_the_force() -> None:

@@ -1,4 +1,4 @@
-"""The results of `asi import` and `asi export`."""
+"""The results of `asi import`, `asi split` and `asi export`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -63,6 +63,20 @@ class Previews(Result):
         for each in self.previews:
             yield from each.parts()
         yield f'to import: {self.command}'
+
+
+class Split(Result):
+    """The parts of a bag that was divided, by the keys of `asi split --json`."""
+
+    rows = 'bags'
+
+    @classmethod
+    def of(cls, written: Mapping[Path, int]) -> 'Split':
+        return cls({'bags': [{'bag': str(bag), 'messages': count}
+                              for bag, count in written.items()]})
+
+    def parts(self) -> Iterator[str | Table]:
+        yield table_of(self.bags, {'bag': '{bag}', 'messages': '{messages:d}'})
 
 
 class Exported(Result):

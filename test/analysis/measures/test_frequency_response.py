@@ -172,7 +172,20 @@ def test_actuator_in_the_loop_against_its_linear_blocks():
                    / (1 + 1j * f / p['fluid_dynamics.frequency']))
 
     expected = optimize.brentq(lambda f: gain(f) - np.sqrt(0.5), 1.0, 200.0)
-    assert actuator_bandwidth(run) == pytest.approx(expected, rel=0.02)
+    found, doubt = actuator_bandwidth(run)
+    assert found == pytest.approx(expected, rel=0.02) and doubt is None
+
+
+@pytest.mark.parametrize('lowest_hz', [2.0, 15.0, 30.0])
+def test_bandwidth_from_the_command_is_doubtful_without_low_frequencies(lowest_hz):
+    """With the lead at first, and hysteresis, the command has lower ones: it was 92 Hz for 25."""
+    run = simulate({}, {'compensator': 'lead_lag', 'reference.shape': 'chirp',
+                        'reference.frequency': lowest_hz, 'reference.end_frequency': 200.0,
+                        'reference.duration': 3.0}, 3.2)
+    found = analyze(run)
+    low = found.actuator_bandwidth_hz == pytest.approx(25.2, rel=0.02)
+    assert found.reliable['actuator_bandwidth_hz'] is low is (lowest_hz == 2.0)
+    assert any('bandwidth from the command: doubtful' in each for each in found.notes) is not low
 
 
 @pytest.mark.parametrize('current', ['0A', '1A'])

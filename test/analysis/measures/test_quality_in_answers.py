@@ -14,7 +14,7 @@ from asi_analysis import cli
 from asi_analysis.bags.bag import read_bag, write_bag
 from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
-from asi_analysis.bags.run import Run
+from asi_analysis.bags.run import Run, StateChange
 from asi_analysis.errors import InputWarning
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
@@ -220,3 +220,14 @@ def test_a_delay_of_more_than_half_a_repetition_of_the_reference_is_doubtful() -
     answer = analyze(simulate({'load.type': 'spring'}, {
         'reference.shape': 'triangle', 'reference.frequency': 4.0}, 1.5, 1000.0))
     assert answer.correlation_delay_s < 0.05 and answer.reliable['correlation_delay_s']
+
+
+def test_a_fault_is_told_until_it_is_reset() -> None:
+    """The valve command was said to be 0 from the fault on, also after a reset."""
+    time_s = 0.001 * np.arange(3000)
+    run = Run(time_s, reference_n=np.sin(time_s), force_n=np.sin(time_s), states=(
+        StateChange(0.0, 'enabled', ''), StateChange(0.5, 'fault', 'too much'),
+        StateChange(1.25, 'enabled', ''), StateChange(2.0, 'fault', 'again')))
+    assert [note for note in analyze(run).notes if 'fault' in note] == [
+        'fault at 0.5 s, the valve command is 0 until 1.25 s: too much',
+        'fault at 2 s, the valve command is 0 from there on: again']
