@@ -278,8 +278,8 @@ def followed_law(weighed: Weighed, p: np.void, run: Run) -> dict[str, Value]:
     """
     Return the servo of a unit inertia as parameters of a simulated joint.
 
-    Its acceleration and rate are limited as in the law that was fitted (servo.py), which a force
-    against a damping of MJCF only resembles.
+    Its acceleration and rate are limited as in the law that was fitted (servo/law.py), which a
+    force against a damping of MJCF only resembles.
     """
     found = _followed(weighed, p, run)
     values: dict[str, Value] = {

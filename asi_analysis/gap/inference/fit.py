@@ -20,7 +20,13 @@ from asi_actuator.parameters import ACTUATOR_DTYPE
 from asi_analysis.arrays import Array
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
-from asi_analysis.gap.model.effects import OF_A_RECORDING, Free, Variant, fields_of
+from asi_analysis.gap.model.effects import (
+    OF_A_RECORDING,
+    OSCILLATION,
+    Free,
+    Variant,
+    fields_of,
+)
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
 from asi_analysis.gap.prepare import Recording
@@ -451,29 +457,43 @@ class LinearScreen:
             own = _parameter(free, group, p)
             low[i] += (wide[free.field].low - own.low) / (own.high - own.low)
             high[i] += (wide[free.field].high - own.high) / (own.high - own.low)
-        per_recording = any(free.field.partition('@')[0] in OF_A_RECORDING
-                            for variant in variants for free in variant.free)
-        return min(self._linear(problem.residual(start) - self._residual, low, high, per_recording)
+        fields = {field.partition('@')[0] for field in fields_of(variants)}
+        per_recording = bool((fields - OSCILLATION) & {*OF_A_RECORDING})
+        return min(self._linear(*self._changes(problem, start, per_recording), low, high)
                    for start in starts)
 
-    def _linear(self, change: Array, low: Array, high: Array, per_recording: bool) -> float:
+    def _changes(self, problem: Problem, start: Array, per_recording: bool
+                 ) -> tuple[Array, Array, Array]:
         """
-        Return the expected cost with an effect that changes the residual so.
+        Return what an effect changes of the residual at a start (columns), and their bounds.
 
+        A load's free oscillation is a column of its own: without it no resonance would fit.
         per_recording: the effect has its own size in each recording.
         """
-        if not np.isfinite(change).all():   # an impossible plant, as a load without mass
-            return np.inf
-        group = self.base.problem.group
-        changes, least = change[:, None], 0.0
+        at_start = problem.residual(start)
+        group, change = self.base.problem.group, (at_start - self._residual)[:, None]
+        columns, least = [change], [0.0]
         if per_recording and len({r.number for r in group.recordings}) > 1:
             number = np.concatenate([np.full(r.fit.sum(), r.number) for r in group.recordings])
             number = np.tile(number, len(group.channels))
-            changes, least = change[:, None] * (number[:, None] == np.unique(number)), -LARGEST
+            columns = [change * (number[:, None] == np.unique(number))]
+            least = [-LARGEST] * columns[0].shape[1]
+        most = [LARGEST] * len(least)
+        for i, free in enumerate(problem.free):
+            if free.field.partition('@')[0] in OSCILLATION:
+                moved = start.copy()
+                moved[i] = 1.0
+                columns.append((problem.residual(moved) - at_start)[:, None])
+                least, most = [*least, -start[i] / (1.0 - start[i])], [*most, 1.0]
+        return np.concatenate(columns, axis=1), np.array(least), np.array(most)
+
+    def _linear(self, changes: Array, least: Array, most: Array, low: Array, high: Array
+                ) -> float:
+        """Return the expected cost with an effect that changes the residual so."""
+        if not np.isfinite(changes).all():   # an impossible plant, as a load without mass
+            return np.inf
         cross = self._jacobian.T @ changes
         square = np.block([[self._square, cross], [cross.T, changes.T @ changes]])
-        count = changes.shape[1]
         _, gain = least_step(square, np.append(self._right, changes.T @ self._residual),
-                             np.append(low, np.full(count, least)),
-                             np.append(high, np.full(count, LARGEST)))
+                             np.append(low, least), np.append(high, most))
         return 0.5 * float(self._residual @ self._residual) - gain

@@ -38,7 +38,7 @@ from asi_actuator.model.valve_hysteresis import (
 )
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
-from asi_analysis.gap.model.servo import (
+from asi_analysis.gap.model.servo.law import (
     SERVO_FIELDS,
     disturbed,
     moving,

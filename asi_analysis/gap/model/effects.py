@@ -50,6 +50,8 @@ class Free(NamedTuple):
 # Channels of a measured motion that the simulator predicts.
 MOTIONS = ('velocity', 'position')
 
+# Of a load's free oscillation: the force on its piston is linear in them.
+OSCILLATION = frozenset(('swing_cosine', 'swing_sine'))
 # Fields that have a value for each recording.
 OF_A_RECORDING = (
     'load_offset', 'disturbance', 'disturbance_wave', 'disturbance_frequency', 'disturbance_phase',

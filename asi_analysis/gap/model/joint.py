@@ -4,7 +4,7 @@ A rigid joint or drive as nominal model, in the block language of the actuator.
 Commanded by its force (or torque, or a proportional voltage or current): a mass with viscous
 friction and a constant force and, if the recording needs them, a spring and, if it turns, gravity.
 Values that are not given are identified from the recording. Commanded by its position: an ideal
-servo, or one of second order (`servo.py`). If command and force are both measured, the drive
+servo, or one of second order (`servo/`). If command and force are both measured, the drive
 between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
 """
 
@@ -44,23 +44,21 @@ from asi_analysis.gap.model.rattling import (
     rattling_in,
     rattling_mechanics,
 )
-from asi_analysis.gap.model.servo import (
+from asi_analysis.gap.model.servo.forms import forms_of, loop_of, swapped
+from asi_analysis.gap.model.servo.identification import (
     DAMPINGS,
     Servo,
     begins_moving,
     error_of,
-    forms_of,
     hidden_servos,
     in_words,
-    loop_of,
     second_order,
     servo_of,
     settled,
     slow_servo,
-    swapped,
     thinned,
 )
-from asi_analysis.gap.model.stepped import Steps, in_steps, placed_by, steps_of
+from asi_analysis.gap.model.servo.stepped import Steps, in_steps, placed_by, steps_of
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
 from asi_analysis.gap.scales import scales
@@ -97,8 +95,8 @@ ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in o
 LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
 # Initial guesses of a compliance over that which explains the whole motion: a lightly damped
-# resonance guides a fit over a factor of four.
-COMPLIANCES = (0.001, 0.004, 0.015, 0.05, 0.2, 0.6, 1.5, 3.0)
+# resonance guides a fit over a factor of two.
+COMPLIANCES = (0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.3, 0.7, 1.5, 3.0)
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
@@ -295,11 +293,11 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         # With integral action in its loop, a lag goes with a lead.
         starts = [(each, 0.0) for each in (*servos, *swapped(servos))] + [
             (each, each.lag) for each in servos if each.lag > 0.0]
+        low, high = (each / servo.damping for each in DAMPINGS)
         dynamics = *(Free(f'valve_flexure_{name}', *bounds, tuple(
             getattr(each, own) / getattr(servo, own) for each, _ in starts), 'nominal', anew=True)
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
-                                      ('damping_ratio', 'damping', [
-                                          each / servo.damping for each in DAMPINGS]))
+                                      ('damping_ratio', 'damping', (low, high)))
         ), *(LIMITS if servo.limited else loop_of(servo, [lead for _, lead in starts]))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
@@ -425,6 +423,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
              'compliance': Free('', 1e-5, 6.0, COMPLIANCES, 'compliance'),
+             'piston_share': Free('', 0.0, 0.8, (0.5, 0.1)),
              'sensor_lag': Free('', 0.0, 0.05, (0.0005, 0.002, 0.006, 0.02))}
 
     def applies(variant: Variant) -> bool:

@@ -13,7 +13,7 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model import blocks, simulator, static_blocks
 from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
-from asi_analysis.gap.model.servo import SUB_STEP
+from asi_analysis.gap.model.servo.identification import SUB_STEP
 from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording, velocity_of
 from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by

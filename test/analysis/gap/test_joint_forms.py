@@ -9,7 +9,7 @@ from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
-from asi_analysis.gap.model.servo import Servo, follow, servo_of, slow_servo
+from asi_analysis.gap.model.servo.identification import Servo, follow, servo_of, slow_servo
 from asi_analysis.gap.prepare import prepare
 
 PERIOD_S = 0.004
@@ -67,3 +67,27 @@ def test_a_slowly_sampled_servo_has_its_limits_and_its_delay():
     assert answer.which[0]['parameters']['command_delay'] == pytest.approx(0.04, abs=0.006)
     assert answer.gap['after_nrmse'] < 0.01
     assert any('largest acceleration 5' in note for note in answer.notes)
+
+
+def test_a_stiff_coupling_is_found():
+    # The load swings at 7 Hz; of the whole motion the coupling yields 0.3 %. "A disturbance and
+    # something unknown", 0.86: the range of the compliance was far too wide for its size.
+    rng, period, fine = np.random.default_rng(8), 0.002, 20
+    time = period * np.arange(6000)
+    command = sum(size * np.sin(2.0 * np.pi * f * time + 5.0 * f) for f, size in (
+        (0.31, 3.0), (0.83, 2.0), (1.9, 1.5), (4.3, 1.0), (6.6, 0.5)))
+    q, v, y, w, position = 0.0, 0.0, 0.0, 0.0, []
+    for k in range(time.size):
+        position.append(q)
+        for _ in range(fine):
+            coupling = 720.0 * (q - y) + 1.2 * (v - w)
+            v += period / fine * (command[k] - 0.8 * v - coupling) / 0.4
+            w += period / fine * (coupling - 0.7 * w) / 0.6
+            q += period / fine * v
+            y += period / fine * w
+    run = Run(time, command_n=command, position_m=np.array(position) + rng.normal(
+        0.0, 2e-5, time.size), source='table', information={
+            'signals': {'command': 'Nm', 'position': 'rad'}})
+    answer = diagnose([run], plant='joint')
+    assert answer.verdict == 'load_compliance'
+    assert answer.which[0]['parameters']['compliance'] == pytest.approx(1.0 / 720.0, rel=0.05)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.servo import (
+from asi_analysis.gap.model.servo.identification import (
     ALMOST,
     Servo,
     left_of,

@@ -1,12 +1,5 @@
 """
-The servo of a joint that follows a reference: second order, with limits of speed and acceleration.
-
-    a = clip(w^2 (r - x) - 2 d w v, ± acceleration),  v = clip(v, ± rate)
-
-What disturbs it can be part of it: dry friction, a load on a compliance. Its damping may act on
-the reference too: a lead; with integral action in the loop, a lag goes with it. A force is given
-over the stiffness of the loop, as a position; integral action takes a constant one over, in
-1 / integral s.
+Identify the servo of a joint that follows a reference.
 
 It is the nominal model if its residual is far smaller than that of a delay with a first-order lag.
 """
@@ -21,10 +14,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from asi_actuator.model.linear_lag import first_order_or_none, second_order_step
 from asi_actuator.model.linear_lag import second_order as second_order_lag
 from asi_analysis.arrays import Array
-from asi_analysis.gap.model.effects import Free, Variant
+from asi_analysis.gap.model.servo.law import OUTPUT, SERVO_DTYPE, moving, servo_lags, servo_step
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import jit
@@ -64,19 +56,7 @@ LAG_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
 LAG_SPLIT: Final = 0.3
 LEAST_SPLIT: Final = 0.05
 FOLLOWED: Final = 3
-# Of dry friction, over the stiffness of the loop, as a share of the motion; of the Stribeck
-# velocity, as a share of the fastest motion; of the frequency of a load on its compliance, as a
-# multiple of the servo's, and its damping ratio: more would be a lag of two poles.
-FRICTIONS: Final = (0.003, 0.01, 0.03, 0.1)
-LEAST_FRICTION: Final = 1e-4
-STRIBECKS: Final = (0.01, 0.05, 0.2)
-FAST: Final = 0.99
-LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
-LOAD_DAMPINGS: Final = (0.0, 0.15, 0.4)
-INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
 HIDDEN: Final = (1.0, 8.0)    # natural frequencies of a hidden servo, by its lateness alone
-MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
-MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
 # A recording begins amid a motion if it is so far off its reference, as a share of the motion
 # (rms), or moves by this share of its speed (rms), in the mean of its first samples.
 AWAY: Final = 0.1
@@ -87,27 +67,6 @@ DECAYED: Final = 6.0
 MOST_DECAYED: Final = 0.3
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
-
-# Position and rate of the drive, its output, position and rate of the load, force taken over.
-STATES = 6
-POSITION, RATE, OUTPUT, LOAD, LOAD_RATE, TAKEN = range(STATES)
-# What a servo is beyond a lag of second order: fields of the plant's record, null at zero.
-SERVO_FIELDS = (
-    'servo_rate',               # m/s, limit
-    'servo_acceleration',       # m/s2, limit
-    'servo_lead',               # s, of its damping, as far as it acts on the reference
-    'servo_lag_share',          # of the lead: the lag of its integral action
-    'servo_friction',           # m, its sliding friction over the stiffness of its loop
-    'servo_breakaway',          # breakaway over sliding friction, less one
-    'servo_stribeck',           # m/s
-    'servo_integral',           # 1/s, the rate at which its integral action takes over a force
-    'servo_load_frequency',     # Hz, of the load on its compliance; 0: the load is rigid
-    'servo_load_damping',       # damping ratio of the load on its compliance
-    'servo_ahead',              # m, at the start, of the drive before the load
-    'servo_faster',             # m/s, the same of its rate
-)
-SERVO_DTYPE = np.dtype([(name, np.float64) for name in SERVO_FIELDS])
-
 
 class Servo(NamedTuple):
     """
@@ -134,102 +93,6 @@ class Servo(NamedTuple):
     def late_s(self) -> float:
         """Return its mean delay: that of a slow motion, s."""
         return self.delay + self.lag + 2.0 * self.damping / self.pulsation
-
-
-@jit
-def disturbed(e):
-    """Return whether a servo is more than a lag of second order."""
-    return (e.servo_lead > 0.0 or e.servo_friction > 0.0 or e.servo_load_frequency > 0.0
-            or e.servo_rate > 0.0 or e.servo_acceleration > 0.0)
-
-
-@jit
-def moving(position, rate, e):
-    """Return the STATES of a servo whose load is at a position (m) and moves at a rate (m/s)."""
-    state = np.zeros(STATES)
-    state[LOAD], state[LOAD_RATE] = position, rate
-    state[POSITION] = state[OUTPUT] = position + e.servo_ahead
-    state[RATE] = rate + e.servo_faster
-    return state
-
-
-@jit
-def servo_lags(e, h):
-    """Return the lags of load and lead, and what integral action leaves of a force, in h s."""
-    return (second_order_lag(e.servo_load_frequency, e.servo_load_damping, h),
-            first_order_or_none(e.servo_lead * e.servo_lag_share, h),
-            math.exp(-e.servo_integral * h))
-
-
-@jit
-def servo_step(state, drawn, lag, lags, e):
-    """
-    Return the position (m) of a servo's load after a sub-step; updates its STATES.
-
-    drawn: mean reference, m; lag: of the undisturbed servo; lags: `servo_lags`.
-    """
-    load, output, left = lags
-    led, before = state[POSITION] + e.servo_lead * state[RATE], state[OUTPUT]
-    friction = drive_step(state, drawn + state[TAKEN], lag, e)
-    state[TAKEN] = friction + (state[TAKEN] - friction) * left
-    state[OUTPUT] = output.keep * before + output.old * led + output.new * (
-        state[POSITION] + e.servo_lead * state[RATE])
-    if e.servo_load_frequency == 0.0:
-        return state[OUTPUT]
-    state[LOAD], state[LOAD_RATE] = second_order_step(
-        state[LOAD], state[LOAD_RATE], 0.5 * (before + state[OUTPUT]), load)
-    return state[LOAD]
-
-
-@jit
-def drive_step(state, drawn, lag, e):
-    """
-    Move the drive of a servo for a sub-step; return its dry friction, as a position (m).
-
-    The acceleration is limited as that of a motor is, without the friction; a motion that friction
-    stops ends within the sub-step, and may start the other way. drawn: the position to which the
-    loop pulls, m.
-    """
-    position, rate = state[POSITION], state[RATE]
-    friction = rub(drawn - position, rate, e)
-    if rate == 0.0 and friction == drawn - position:
-        return friction
-    most = 2.0 * lag.half_step * e.servo_acceleration
-    after = pushed(rate, second_order_step(position, rate, drawn, lag)[1], most)
-    after -= lag.pull * friction
-    if friction != 0.0 and rate * after < 0.0:   # it stops, and may start the other way
-        share = rate / (rate - after)
-        position += share * lag.half_step * rate
-        share, rate = 1.0 - share, 0.0
-        friction = rub(drawn - position, rate, e)
-        after = share * (pushed(0.0, lag.pull * (drawn - position), most) - lag.pull * friction)
-        if friction == drawn - position:
-            after = 0.0
-        position += share * lag.half_step * after - lag.half_step * after
-    if e.servo_rate > 0.0:
-        after = min(max(after, -e.servo_rate), e.servo_rate)
-    state[POSITION], state[RATE] = position + lag.half_step * (rate + after), after
-    return friction
-
-
-@jit
-def pushed(rate, after, most):
-    """Return the rate after a sub-step, that changes by at most `most`; 0: no limit."""
-    return min(max(after, rate - most), rate + most) if most > 0.0 else after
-
-
-@jit
-def rub(pull, rate, e):
-    """Return the dry friction of a servo (m): at rest what holds, up to breakaway (Karnopp)."""
-    if e.servo_friction == 0.0:
-        return 0.0
-    rise = e.servo_breakaway
-    if rate == 0.0:
-        most = e.servo_friction * (1.0 + rise)
-        return min(max(pull, -most), most)
-    if rise > 0.0:
-        rise *= math.exp(-abs(rate) / e.servo_stribeck)
-    return math.copysign(e.servo_friction * (1.0 + rise), rate)
 
 
 @jit
@@ -420,55 +283,6 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
         starts.append(one_pole._replace(split=LEAST_SPLIT))
     free = ('pulsation', 'damping', 'lag', *['split'] * bool(split))
     return min((_fitted(each, free, recordings) for each in starts), key=power)
-
-
-def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[Variant, ...]]:
-    """Return the forms of the effects within a servo of second order, by name."""
-    amplitude = max(float(np.ptp(r.valve_position[r.valid])) for r in recordings
-                    if r.valve_position is not None)
-    speed = max(float(np.quantile(np.abs(np.diff(r.output)), FAST)) / r.period_s
-                for r in recordings)
-    low, start, high = STRIBECKS
-    friction = (
-        Free('servo_friction', LEAST_FRICTION * amplitude, amplitude, tuple(
-            each * amplitude for each in FRICTIONS), '', 'm'),
-        Free('servo_integral', 0.0, INTEGRALS[-1] * servo.pulsation, tuple(
-            each * servo.pulsation for each in INTEGRALS[:-1]), '', '1/s'))
-    sticking = (Free('servo_breakaway', 0.25, 6.0, (1.0,)),
-                Free('servo_stribeck', low * speed, high * speed, (start * speed,), '', 'm/s'))
-    frequency = servo.pulsation / (2.0 * math.pi)
-    compliance: tuple[Free, ...] = (
-        Free('servo_load_frequency', 0.3 * frequency, 20.0 * frequency, tuple(
-            each * frequency for each in LOAD_FREQUENCIES), '', 'Hz'),
-        Free('servo_load_damping', LOAD_DAMPINGS[0], LOAD_DAMPINGS[-1], (LOAD_DAMPINGS[1],)))
-    if any(r.begins for r in recordings):   # its state is not measured, and decays slowly
-        compliance += (Free('servo_ahead', -amplitude, amplitude, (0.0,)),
-                       Free('servo_faster', -2.0 * speed, 2.0 * speed, (0.0,)))
-    return {name: (Variant(free, ('valve',)),) for name, free in (
-        ('coulomb_friction', friction), ('stiction', (*friction, *sticking)),
-        ('load_compliance', compliance))}
-
-
-def swapped(servos: Sequence[Servo]) -> list[Servo]:
-    """
-    Return servos of second order with the poles of the two lags in series with each that has them.
-
-    Then the load on its compliance may be what has the poles of that servo.
-    """
-    return [Servo(1.0 / (each.lag * math.sqrt(each.split * (1.0 - each.split))),
-                  0.5 / math.sqrt(each.split * (1.0 - each.split)))
-            for each in servos if each.lag > 0.0 and each.split >= LEAST_SPLIT]
-
-
-def loop_of(servo: Servo, leads: Sequence[float]) -> tuple[Free, Free]:
-    """
-    Return the lead of a servo, and the lag of its integral action as a share of that.
-
-    leads: initial guesses, s; beside each the lag is as long, so that both have no effect.
-    """
-    most = max(MOST_LEAD * 2.0 * servo.damping / servo.pulsation, *(2.0 * each for each in leads))
-    return (Free('servo_lead', 0.0, most, tuple(leads), '', 's', anew=True),
-            Free('servo_lag_share', 0.0, MOST_LAG, (1.0,) * len(leads), anew=True))
 
 
 def begins_moving(recording: Recording) -> bool:
