@@ -39,7 +39,8 @@ def limit_cycle(
         help='Signal to analyse, as position or pressure; default: the one that the reference '
              'controls, or else the force')] = None,
     undriven: Annotated[bool, typer.Option(
-        '--undriven', help='Nothing drove the recording from outside: for one without a reference')
+        '--undriven', help='Nothing drove the recording from outside: no load, and no reference '
+                           'that it does not hold')
     ] = False,
     report: Report = None,
     as_json: Json = False,

@@ -9,6 +9,7 @@ Control 18, 2008). The controller may be any.
 """
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -55,9 +56,14 @@ class Explanation(NamedTuple):
 
 def without_drift(values: Array, cycle: float) -> Array:
     """Return the values high-pass filtered at 0.35 of the oscillation; cycle: samples a cycle."""
-    sections = signal.butter(2, min(2.0 * 0.35 / cycle, 0.9), 'highpass', output='sos')
     pad = min(len(values) - 1, int(3 * cycle))
-    return signal.sosfiltfilt(sections, values, axis=-1, padlen=pad)
+    return signal.sosfiltfilt(_highpass(cycle), values, axis=-1, padlen=pad)
+
+
+@lru_cache(1)
+def _highpass(cycle: float) -> Array:
+    """Return the sections of the filter; all valves that are fitted to a record share it."""
+    return np.asarray(signal.butter(2, min(2.0 * 0.35 / cycle, 0.9), 'highpass', output='sos'))
 
 
 class _Candidate(NamedTuple):

@@ -87,8 +87,8 @@ def detect_limit_cycles(runs: Run | Sequence[Run], signal: str | None = None,
     runs: one recording, or several of the same loop, which together show whether a cycle is
     isolated (reached from inside and from outside). signal: name of the signal to analyse; by
     default the one that the reference controls, else the force, or the first other that was
-    recorded. undriven: nothing drove the runs from outside; to be said where no reference is
-    recorded. Raises InputError if a run lacks the signal or has too few samples.
+    recorded. undriven: nothing drove the runs from outside; to be said where no reference or
+    no load is recorded. Raises InputError if a run lacks the signal or has too few samples.
 
     >>> import asi_analysis as asi
     >>> run = asi.simulate({}, {'gain': 10.0, 'reference.amplitude': 100.0}, 1.0)

@@ -19,6 +19,8 @@ TRANSIENT: Final = 5.0
 SHORTEST_REST: Final = 16
 MOVES: Final = 4.0
 LONGER_RUN: Final = 4.0
+# Cycles of a quiet stretch in the middle that is divided off although it is no rest.
+SHORTEST_QUIET: Final = 3.0
 
 
 def reference_cuts(time_s: Array, reference: Array | None, cycle_s: float) -> list[float]:
@@ -62,52 +64,78 @@ def active_part(values: Array) -> slice:
     return slice(first, end)
 
 
-def middle_rests(values: Array, cycle: float) -> list[int]:
+def middle_cuts(values: Array, cycle: float) -> list[int]:
     """
-    Return the samples in the middle of each rest between two motions; cycle: in samples.
+    Return the samples at which a record is divided between two motions; cycle: in samples.
 
-    The longest stretch is tried in which each cycle hardly moves; seen from its middle it must be
-    a rest on either side. Then what lies before and after that rest.
+    The middle of each rest: of a stretch in which each cycle hardly moves, and which seen from its
+    middle is a rest on either side, up to the next such stretch. A stretch of SHORTEST_QUIET
+    cycles that is no rest, since its noise is coloured, is divided off if it begins and ends at
+    once: the trough of a beat does not.
     """
     part = active_part(values)
     values, size = values[part], int(max(cycle, 2 * SHORTEST_REST))
     if len(values) < 3 * size:
         return []
-    centred = values - values.mean()
-    total, power = (np.concatenate([[0.0], np.cumsum(each)]) for each in (centred, centred**2))
-    mean = (total[size:] - total[:-size]) / size
-    spread = np.sqrt(np.maximum((power[size:] - power[:-size]) / size - mean**2, 0.0))
-    quiet = np.concatenate([[False], spread < np.percentile(spread, 90) / MOVES, [False]])
+    spread = _spread(values, size)
+    # The size of the motion: of a tenth of the record, or of three cycles.
+    largest = min(3 * size, max(len(spread) // 10, 1))
+    moving = np.partition(spread, -largest)[-largest]
+    quiet = np.concatenate([[False], spread < moving / MOVES, [False]])
     first, last = np.flatnonzero(np.diff(quiet.astype(int))).reshape(-1, 2).T
-    if not len(first):
-        return []
-    longest = int(np.argmax(last - first))
-    middle = int(first[longest] + last[longest] + size) // 2
-    before, after = _rest(values[:middle][::-1]), _rest(values[middle:])
-    if not before or not after:
-        return []
-    later = middle + after
-    found = [*middle_rests(values[:middle - before], cycle), middle,
-             *(later + each for each in middle_rests(values[later:], cycle))]
+    ends = np.concatenate([[0], last + size - 1])
+    found = []
+    for k, (begin, end) in enumerate(zip(first, ends[1:], strict=True)):
+        middle = int(begin + end) // 2
+        following = first[k + 1] if k + 1 < len(first) else len(values)
+        halves = values[ends[k]:middle][::-1], values[middle:following]
+        if all(_rest(half) for half in halves):
+            found.append(middle)
+        elif end - begin >= SHORTEST_QUIET * size and _steep(spread, begin, last[k], size):
+            before, after = (_change(half)[0] for half in halves)
+            found += [middle - before, middle + after]
     return [part.start + each for each in found]
 
 
-def _rest(values: Array) -> int:
-    """
-    Return the number of samples at rest at the beginning: of white noise, or constant.
+def _spread(values: Array, size: int) -> Array:
+    """Return the standard deviation of each `size` neighbours."""
+    centred = values - values.mean()
+    total, power = (np.concatenate([[0.0], np.cumsum(each)]) for each in (centred, centred**2))
+    mean = (total[size:] - total[:-size]) / size
+    return np.sqrt(np.maximum((power[size:] - power[:-size]) / size - mean**2, 0.0))
 
-    The change is where two normal distributions describe the values best.
-    """
+
+def _steep(spread: Array, first: int, last: int, size: int) -> bool:
+    """Return whether the spread doubles within half a window before and after a stretch."""
+    before, after = first - 1 - size // 2, last + size // 2
+    return bool(before >= 0 and after < len(spread) and min(spread[before], spread[after])
+                > 2.0 * max(spread[first], spread[last - 1]))
+
+
+def _rest(values: Array) -> int:
+    """Return the number of samples at rest at the beginning: of white noise, or constant."""
     count = len(values)
-    if count < 2 * SHORTEST_REST:
-        return 0
     changes = np.flatnonzero(np.diff(values))
-    if not len(changes):
+    if count < 2 * SHORTEST_REST or not len(changes):
         return 0
     runs = np.diff(np.concatenate([changes, [count - 1]]))
     constant = int(changes[0]) + 1
     if constant >= max(SHORTEST_REST, LONGER_RUN * runs[:-1].max(initial=0)):
         return constant
+    length, moves = _change(values)
+    rest = values[:length]
+    return length if moves and not len(autoregression(rest - rest.mean()).coefficients) else 0
+
+
+def _change(values: Array) -> tuple[int, bool]:
+    """
+    Return the sample at which a motion begins, and whether it is MOVES times as large.
+
+    The change is where two normal distributions describe the values best.
+    """
+    count = len(values)
+    if count < 2 * SHORTEST_REST:
+        return 0, False
     split = np.arange(SHORTEST_REST, count - SHORTEST_REST + 1).astype(float)
     centred = values - values.mean()
     sums, squares = np.cumsum(centred), np.cumsum(centred**2)
@@ -119,10 +147,7 @@ def _rest(values: Array) -> int:
     before = variance(split, total, power)
     after = variance(count - split, sums[-1] - total, squares[-1] - power)
     best = int(np.argmin(split * np.log(before) + (count - split) * np.log(after)))
-    rest = centred[:int(split[best])]
-    moves = after[best] > MOVES**2 * before[best]
-    white = not len(autoregression(rest - rest.mean()).coefficients)
-    return len(rest) if moves and white else 0
+    return int(split[best]), bool(after[best] > MOVES**2 * before[best])
 
 
 def envelope_cuts(found: Envelope) -> list[float]:

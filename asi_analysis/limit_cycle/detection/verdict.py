@@ -132,7 +132,7 @@ def judge_once(run: Run, name: str | None = None) -> list[Segment]:
     check_time(time_s, run.source)
     cycle = 1.0 / frequency if np.isfinite(frequency) else time_s[-1] - time_s[0]
     cuts = sorted([*seg.reference_cuts(run.time_s, run.reference_n, cycle),
-                   *time_s[seg.middle_rests(values, _samples_a_cycle(time_s, values))]])
+                   *time_s[seg.middle_cuts(values, _samples_a_cycle(time_s, values))]])
     edges = [time_s[0], *[c for c in cuts if time_s[0] < c < time_s[-1]], np.inf]
     found: list[Segment] = []
     for start, end in zip(edges[:-1], edges[1:], strict=True):

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from asi_analysis.limit_cycle.detection.answer import detect_limit_cycles
 from asi_analysis.limit_cycle.detection.drive import flat_share
 from asi_analysis.limit_cycle.detection.feedback import follows_a_law
 from asi_analysis.limit_cycle.detection.resolution import quantisation
+from asi_analysis.limit_cycle.detection.segments import middle_cuts
 from asi_analysis.limit_cycle.detection.verdict import judge_once
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.measures.oscillation import oscillation
@@ -92,7 +94,7 @@ def simulated(gain, step=100.0, duration=1.0):
     run = simulate_loop({}, {'gain': gain, 'reference.shape': 'step',
                              'reference.amplitude': step}, duration)
     return Run(run.time_s, run.reference_n, run.command_n, run.force_n, run.valve_position_m,
-               source=f'gain {gain}')
+               source=f'gain {gain}', information={'actuator': {}})
 
 
 def test_actuator_cycles_at_high_gain_and_settles_at_low():
@@ -145,7 +147,7 @@ def _moved(reference, motion):
     """Return a run of 4 s whose reference moves, and its longest segment."""
     noise = 0.01 * np.random.default_rng(7).standard_normal(reference.size)
     run = Run(np.arange(reference.size) / 1000.0, reference, force_n=motion + noise)
-    return max(judge_run(run), key=lambda s: s.end_s - s.start_s)
+    return max(judge_run(run, undriven=True), key=lambda s: s.end_s - s.start_s)
 
 
 def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not():
@@ -203,8 +205,43 @@ def test_without_a_reference_nobody_is_sure_of_a_cycle():
     assert 'no reference' in alone.why and '--undriven' in alone.why
     segment, = judge_run(run, undriven=True)
     assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
-    held, = judge_run(Run(run.time_s, np.zeros(run.time_s.size), force_n=run.force_n))
-    assert held.verdict == 'limit_cycle' and held.confidence > 0.9
+    held = Run(run.time_s, np.zeros(run.time_s.size), force_n=run.force_n)
+    segment, = judge_run(held)
+    assert segment.verdict == 'limit_cycle' and segment.confidence == 0.8
+    assert 'no load is recorded' in segment.why and '--undriven' in segment.why
+    # The metadata of a bag of this package name its load.
+    segment, = judge_run(replace(held, information={'actuator': {}}))
+    assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
+
+
+@pytest.mark.parametrize('starts', [0.0, 20.0])
+def test_a_load_that_nobody_recorded_is_no_sure_limit_cycle(starts):
+    """A PI loop whose load is a triangle, from the beginning on or after a rest."""
+    level, total, rows = 0.0, 0.0, []
+    random = np.random.default_rng(1)
+    time_s = 0.02 * np.arange(4000)
+    load = np.where(time_s < starts, 0.0, signal.sawtooth(1.3 * time_s, 0.5))
+    for each in load:
+        measured = level + 0.005 * random.standard_normal()
+        total -= 0.01 * measured
+        command = total - 0.8 * measured
+        level += 0.02 * (command + each - level)
+        rows.append((command, measured))
+    command, output = np.array(rows).T
+    for segment in judge_run(undriven(time_s, output, command)):
+        assert segment.verdict != 'limit_cycle' or segment.confidence <= 0.8
+
+
+def test_a_motion_that_excites_itself_is_a_sure_limit_cycle():
+    t = np.arange(6000) / 200.0
+    noise = 0.003 * np.random.default_rng(2).standard_normal(t.size)
+
+    def last(amplitude):
+        wave = np.cos(10.0 * np.pi * t) + 0.1 * np.cos(30.0 * np.pi * t)
+        return judge_run(undriven(t, amplitude * wave + noise))[-1]
+    assert last(1.0 / np.sqrt(1.0 + 999.0 * np.exp(-1.2 * t))).confidence > 0.9
+    # A load that starts moves a linear loop so.
+    assert last(1.0 - np.exp(-0.5 * t)).confidence <= 0.8
 
 
 def test_a_recording_driven_open_loop_is_no_limit_cycle():
@@ -325,13 +362,47 @@ def test_a_rest_in_the_middle_divides_the_record(noise, level):
     cycle = wave + 0.01 * random.standard_normal(t.size)
     rest = level + noise * random.standard_normal(400)
     values = np.concatenate([cycle[:620], rest, cycle[620:]])
-    first, middle, last = judge_run(undriven(np.arange(1400) / 100.0, values))
+    first, middle, last = judge_run(undriven(np.arange(1400) / 100.0, values), undriven=True)
     assert middle.why == 'the signal does not move'
     assert middle.start_s == pytest.approx(6.2, abs=0.02)
     assert middle.end_s == pytest.approx(10.19, abs=0.02)
     for segment in (first, last):
         assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
         assert segment.frequency_hz == pytest.approx(1.0, abs=0.01)
+
+
+def test_every_rest_divides_the_record():
+    """If the longest one looked coloured by chance, no other one was tried."""
+    random = np.random.default_rng(1)
+    wave, values = np.cos(2.0 * np.pi * np.arange(600) / 50.0), []
+    for _ in range(12):
+        values += [wave + 0.02 * random.standard_normal(600), 0.02 * random.standard_normal(200)]
+    values[1] = signal.lfilter([1.0], [1.0, -0.9], values[1])
+    cuts = np.array(middle_cuts(np.concatenate(values), 50.0))
+    assert set(cuts // 800) == set(range(11))
+    assert np.all((cuts - 575) % 800 <= 250)
+
+
+@pytest.mark.parametrize('pole', [0.6, 0.9])
+def test_a_quiet_stretch_of_coloured_noise_divides_the_record(pole):
+    random = np.random.default_rng(0)
+    t = np.arange(2000) / 25.0
+    wave = np.cos(2.0 * np.pi * t) + 0.1 * np.cos(6.0 * np.pi * t)
+    wave += 0.02 * random.standard_normal(t.size)
+    quiet = 0.1 * signal.lfilter([1.0], [1.0, -pole], random.standard_normal(500))
+    values = np.concatenate([wave[:1000], 0.1 / np.std(quiet) * quiet, wave[1000:]])
+    first, middle, last = judge_run(undriven(np.arange(2500) / 25.0, values), undriven=True)
+    assert first.verdict == last.verdict == 'limit_cycle'
+    assert first.confidence > 0.9 and last.confidence > 0.9
+    assert middle.verdict == 'noise'
+    assert (middle.start_s, middle.end_s) == pytest.approx((40.0, 60.0), abs=1.0)
+
+
+def test_the_trough_of_a_beat_is_no_quiet_stretch():
+    t = np.arange(8000) / 25.0
+    beat = np.cos(2.0 * np.pi * t) + np.cos(2.0 * np.pi * 1.02 * t)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(t.size)
+    assert middle_cuts(beat + noise, 25.0) == []
 
 
 def sticking_loop(random, duration=80.0, period=0.02):
