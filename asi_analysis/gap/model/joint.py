@@ -8,6 +8,7 @@ servo, or one of second order (`servo/`). If command and force are both measured
 between them is an ideal servo too. A joint that turns has rad, N m, kg m2 in place of m, N, kg.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -49,16 +50,20 @@ from asi_analysis.gap.model.servo.identification import (
     DAMPINGS,
     Servo,
     begins_moving,
-    error_of,
-    hidden_servos,
     in_words,
-    second_order,
-    servo_of,
     settled,
     slow_servo,
     thinned,
 )
-from asi_analysis.gap.model.servo.stepped import Steps, in_steps, placed_by, steps_of
+from asi_analysis.gap.model.servo.nominal import (
+    SERVO_ERROR,
+    can_be_identified,
+    identified_servo,
+    late_by,
+    near,
+    stepping,
+)
+from asi_analysis.gap.model.servo.stepped import Steps
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
 from asi_analysis.gap.scales import scales
@@ -83,8 +88,6 @@ LIMITS = tuple(Free(f'servo_{name}', 0.3, 3.0, (1.0,), 'nominal') for name in (
     'rate', 'acceleration'))
 SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
 SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
-SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
-SERVO_RESIDUAL = 2.0   # or this multiple of the residual of a delay and a lag, if that is less
 # Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
 BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force below which it cannot be identified
@@ -163,10 +166,10 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     recordings = prepare(runs, drive, held_out, extent.band_hz)
     of = prepare(healthy, drive, band_hz=extent.band_hz) if healthy else recordings
     if drive == 'position':
-        if identifiable := _fits(of):
+        if identifiable := can_be_identified(of):
             slow = slow_servo(thinned(of))
             recordings, of = ([settled(r, slow) for r in each] for each in (recordings, of))
-        servos, steps, error = (_identified_servo(of, extent.hidden) if identifiable else
+        servos, steps, error = (identified_servo(of, extent.hidden) if identifiable else
                                 ([], None, SERVO_ERROR))
         notes = [in_words(servos[0], runs[0].unit('reference'))] if servos else []
         notes += [AMID] if any(map(begins_moving, recordings)) else []
@@ -243,32 +246,6 @@ def _without_hidden_compliance(group: Group) -> Group:
                                    if name != 'load_compliance'})
 
 
-def _fits(recordings: Sequence[Recording]) -> bool:
-    """Return whether recordings have samples to fit to, and to choose by."""
-    return any(r.fit.any() for r in recordings) and any(r.held_out.any() for r in recordings)
-
-
-def _identified_servo(recordings: Sequence[Recording], hidden: bool
-                      ) -> tuple[list[Servo], Steps | None, float]:
-    """
-    Return the servos that may fit recordings, the reference's quantisation and a model error.
-
-    That of a drive without dynamics (rms, as a share of the motion): small if the residual of a
-    delay and a lag, which are effects then, is hardly more than noise.
-    """
-    decimated = thinned(recordings)
-    slow = slow_servo(decimated)
-    steps = steps_of(decimated, slow)
-    stepped = in_steps(decimated, steps)
-    if steps:   # estimated with a lag of first order: refined with a servo of second order
-        steps = placed_by(second_order(stepped), decimated, steps)
-        stepped = in_steps(decimated, steps)
-        slow = slow_servo(stepped)
-    moved = float(np.std(np.concatenate([r.output for r in decimated])))
-    error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
-    return hidden_servos(slow) if hidden else servo_of(stepped, slow), steps, error
-
-
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
            servos: Sequence[Servo] = (), steps: Steps | None = None,
            model_error: float = SERVO_ERROR) -> Group:
@@ -311,8 +288,9 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,)}
     own |= {'command_quantisation': (stepping(steps),)} if steps else {}
     own |= forms_of(servos[0], recordings) if dynamics else {}
+    late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]
     effects = {name: own[name] if name in own and not proportional else tuple(
-        form._replace(free=tuple(_near(SLOW_LOOP.get(free.field, free), servos)
+        form._replace(free=tuple(near(SLOW_LOOP.get(free.field, free), [*servos, *late])
                                  for free in form.free))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
@@ -322,24 +300,6 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
         [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
-
-
-def stepping(steps: Steps) -> Variant:
-    """Return quantisation as an effect, with initial guesses of quantum and phase."""
-    # The phase is periodic: one turn is added to keep it positive.
-    return Variant((Free('command_quantum', 0.998 * steps.quantum, 1.002 * steps.quantum,
-                         (steps.quantum,), '', 'N'),
-                    Free('command_phase', 0.95 + steps.phase, 1.05 + steps.phase,
-                         (1.0 + steps.phase,), '', 'turns')), ('valve',))
-
-
-def _near(free: Free, servos: Sequence[Servo]) -> Free:
-    """Return a free delay or lag with further initial guesses: those identified with a servo."""
-    own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
-        free.field, '')
-    guess = [getattr(each, own) for each in servos
-             if own]
-    return free._replace(starts=(*filter(None, guess), *free.starts))
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
@@ -381,6 +341,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
             nominal[field] = value
             most = MOST * max(value, identified[field], TYPICAL * typical[field])
             nuisance.append(Free(field, 0.0, most, (value,), anew=rattling is not None))
+    nuisance += _given_friction(nominal, given, tolerance)
     nominal['load_offset'] = identified['load_offset']
     start = identified['load_offset'] / scales(recordings)['force']
     # At a constant speed damping explains the mean force, and so does gravity at the middle of
@@ -397,10 +358,24 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
                             rattling_in(rattles))
     if weighs and healthy:
         effects |= GRAVITY
+        size = tolerance * math.hypot(*(float(given.get(f'gravity.{part}', 0.0))
+                                        for part in ('sine', 'cosine')))
+        nuisance += [free._replace(low=-size, high=size, starts=(0.0,), scale='')
+                     for free in GRAVITY['gravity'][0].free if size > 0.0]
     elif weighs:   # it was identified without the effects
         nuisance += [free._replace(starts=(0.0,)) for free in GRAVITY['gravity'][0].free]
     return make_group(nominal, recordings, ('load',), nuisance=tuple(nuisance), effects=effects,
                       model_error=RIGID_ERROR, floor_by_best=True)
+
+
+def _given_friction(nominal: np.void, given: Mapping[str, Value], tolerance: float) -> list[Free]:
+    """Return the parameters of a friction that is given: uncertain as mass and damping are."""
+    frees = [Free(field, 1.0 - tolerance, 1.0 + tolerance, (1.0,), 'nominal')
+             for field in ('friction_level', 'viscous') if nominal[field] > 0.0]
+    if nominal['friction_level'] > 0.0 and 'friction.presliding_stiffness' not in given:
+        # How it begins to slide is not given, so it is known to orders of magnitude.
+        frees.append(Free('friction_bristle', 1e-3, 10.0, (1.0, 0.03), 'nominal', anew=True))
+    return frees
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,

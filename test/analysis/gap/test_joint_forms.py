@@ -10,6 +10,7 @@ from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
 from asi_analysis.gap.model.servo.identification import Servo, follow, servo_of, slow_servo
+from asi_analysis.gap.model.servo.nominal import late_by
 from asi_analysis.gap.prepare import prepare
 
 PERIOD_S = 0.004
@@ -91,3 +92,59 @@ def test_a_stiff_coupling_is_found():
     answer = diagnose([run], plant='joint')
     assert answer.verdict == 'load_compliance'
     assert answer.which[0]['parameters']['compliance'] == pytest.approx(1.0 / 720.0, rel=0.05)
+
+
+@pytest.mark.parametrize(('share', 'verdict'), [(1.1, 'no_gap'), (0.5, 'coulomb_friction')])
+def test_a_friction_that_is_given_has_a_tolerance(share: float, verdict: str):
+    # A nominal friction off by 10 % was Coulomb friction, 0.84: it alone was taken as exact.
+    rng, period, fine = np.random.default_rng(6), 0.004, 40
+    time = period * np.arange(4000)
+    command = 20.0 * np.sign(np.sin(2.0 * np.pi * 0.45 * time)) + 8.0 * np.sin(
+        2.0 * np.pi * 1.3 * time)
+    q, v, position = 0.0, 0.0, []
+    for k in range(time.size):
+        position.append(q)
+        for _ in range(fine):
+            after = v + period / fine * (command[k] - 30.0 * v - 6.0 * np.sign(
+                v if v else command[k])) / 8.0
+            v = 0.0 if v * after < 0.0 else after
+            q += period / fine * v
+    run = Run(time, command_n=command, position_m=np.array(position) + rng.normal(
+        0.0, 1e-5, time.size), source='belt', information={
+            'signals': {'command': 'N', 'position': 'm'}})
+    model = {'plant': 'joint', 'load.mass': 8.0, 'load.damping': 30.0,
+             'friction.coulomb': 6.0 * share}
+    assert diagnose([run], model, 'joint').verdict == verdict
+
+
+@pytest.mark.parametrize(('share', 'verdict'), [(1.1, 'no_gap'), (0.6, 'gravity')])
+def test_gravity_that_is_given_has_a_tolerance(share: float, verdict: str):
+    rng, period, fine = np.random.default_rng(6), 0.004, 10
+    time = period * np.arange(4000)
+    command = 9.0 * np.sin(0.5) + 2.0 * np.sin(2.0 * np.pi * 0.3 * time) + np.sin(
+        2.0 * np.pi * 1.7 * time)
+    q, v, position = 0.5, 0.0, []
+    for k in range(time.size):
+        position.append(q)
+        for _ in range(fine):
+            v += period / fine * (command[k] - 4.0 * v - 9.0 * np.sin(q)) / 0.5
+            q += period / fine * v
+    run = Run(time, command_n=command, position_m=np.array(position) + rng.normal(
+        0.0, 1e-5, time.size), source='elbow', information={
+            'signals': {'command': 'Nm', 'position': 'rad'}})
+    model = {'plant': 'joint', 'load.mass': 0.5, 'load.damping': 4.0, 'gravity.sine': 9.0 * share}
+    assert diagnose([run], model, 'joint').verdict == verdict
+
+
+@pytest.mark.parametrize('samples', [1, 5, 40])
+def test_first_guess_of_a_drives_delay(samples: int):
+    # With a noisy command each mean of two samples may be a local minimum of the fit: a delay was
+    # a lag, 0.99.
+    rng, period = np.random.default_rng(2), 0.002
+    time = period * np.arange(3000)
+    command = np.sin(2.0 * np.pi * 0.7 * time) + rng.normal(0.0, 0.3, time.size)
+    force = np.append(np.full(samples, command[0]), command[:-samples])
+    run = Run(time, command_n=command, force_n=force, source='drive', information={
+        'signals': {'command': 'Nm', 'force': 'Nm'}})
+    # The output of a sample answers the command of the one before.
+    assert late_by(prepare([run], 'drive', [False])) == pytest.approx((samples - 1) * period)

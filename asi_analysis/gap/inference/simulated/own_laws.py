@@ -82,8 +82,10 @@ def by_own_laws(groups: Sequence[Group], tick: Callable[[], None],
     if any(law.weighed is None and gain_is_off(fitted.record, each, gain)
            for law, each in zip(rest, others, strict=True)):
         first = first._replace(weighed=None)   # the gain is judged with the valve, block by block
-    # Of a valve that they do not explain, the position is not known well enough to blame the rest.
-    return [first, *(each._replace(gap=each.gap and first.weighed is not None) for each in rest)]
+    # Of a valve that they do not explain to the noise, the position is not known well enough to
+    # blame the rest: an effect of another formulation leaves as much as it is wrong.
+    known = first.weighed is not None and not best.unexplained
+    return [first, *(each._replace(gap=each.gap and known) for each in rest)]
 
 
 def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True

@@ -1,0 +1,88 @@
+"""Which servo is the nominal one of recordings, and whether its reference is quantised."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from asi_analysis.gap.model.effects import Free, Variant
+from asi_analysis.gap.model.group import MODEL_ERROR
+from asi_analysis.gap.model.servo.identification import (
+    LONGEST_DELAY,
+    Servo,
+    error_of,
+    hidden_servos,
+    left_by,
+    second_order,
+    servo_of,
+    slow_servo,
+    thinned,
+)
+from asi_analysis.gap.model.servo.stepped import Steps, in_steps, placed_by, steps_of
+from asi_analysis.gap.prepare import Recording
+
+SERVO_ERROR = 0.03     # model error of a drive without dynamics, as a share of its signal,
+SERVO_RESIDUAL = 2.0   # or this multiple of the residual of a delay and a lag, if that is less
+
+
+def can_be_identified(recordings: Sequence[Recording]) -> bool:
+    """Return whether recordings have samples to fit to, and to choose by."""
+    return any(r.fit.any() for r in recordings) and any(r.held_out.any() for r in recordings)
+
+
+def identified_servo(recordings: Sequence[Recording], hidden: bool
+                     ) -> tuple[list[Servo], Steps | None, float]:
+    """
+    Return the servos that may fit recordings, the reference's quantisation and a model error.
+
+    That of a drive without dynamics (rms, as a share of the motion): small if the residual of a
+    delay and a lag, which are effects then, is hardly more than noise.
+    """
+    decimated = thinned(recordings)
+    slow = slow_servo(decimated)
+    steps = steps_of(decimated, slow)
+    stepped = in_steps(decimated, steps)
+    if steps:   # estimated with a lag of first order: refined with a servo of second order
+        steps = placed_by(second_order(stepped), decimated, steps)
+        stepped = in_steps(decimated, steps)
+        slow = slow_servo(stepped)
+    moved = float(np.std(np.concatenate([r.output for r in decimated])))
+    error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
+    return hidden_servos(slow) if hidden else servo_of(stepped, slow), steps, error
+
+
+def stepping(steps: Steps) -> Variant:
+    """Return quantisation as an effect, with initial guesses of quantum and phase."""
+    # The phase is periodic: one turn is added to keep it positive.
+    return Variant((Free('command_quantum', 0.998 * steps.quantum, 1.002 * steps.quantum,
+                         (steps.quantum,), '', 'N'),
+                    Free('command_phase', 0.95 + steps.phase, 1.05 + steps.phase,
+                         (1.0 + steps.phase,), '', 'turns')), ('valve',))
+
+
+def near(free: Free, servos: Sequence[Servo]) -> Free:
+    """Return a free delay or lag with further initial guesses: those identified with a servo."""
+    own = {'command_delay': 'delay', 'valve_lag': 'lag', 'valve_lag_split': 'split'}.get(
+        free.field)
+    guess = [getattr(each, own) for each in servos] if own else []
+    return free._replace(starts=(*filter(None, guess), *free.starts))
+
+
+def late_by(recordings: Sequence[Recording]) -> float:
+    """
+    Return by how many whole samples (in s) an output follows its held command with a delay.
+
+    Each delay is tried, since the noise of a command makes a local minimum between two samples:
+    their mean has less of it.
+    """
+    period = max(r.period_s for r in recordings)
+    fitted = [r for r in recordings if r.fit.any()]
+    most = min(math.ceil(LONGEST_DELAY / period), min(r.fit.size for r in fitted) // 4)
+
+    def left(late: int) -> float:
+        moved = [np.concatenate([np.full(late, r.input[0]), r.input[:r.input.size - late]])
+                 for r in fitted]
+        return float(np.mean(left_by(moved, fitted, 'fit') ** 2))
+
+    # Without a delay the output answers the command of the sample before.
+    return period * (min(range(1, max(most, 2)), key=left) - 1)
