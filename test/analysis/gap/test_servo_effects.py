@@ -177,6 +177,23 @@ def test_friction_of_a_servo_with_limits_is_found(friction: float):
         assert exported['servo.acceleration_limit'] == pytest.approx(60.0, rel=0.01)
 
 
+@pytest.mark.parametrize(('limits', 'names'), [
+    ((3.0, 1e9), ['servo_rate']), ((1e9, 400.0), ['servo_acceleration'])])
+def test_a_limit_that_is_not_reached_is_not_told(limits: tuple[float, float], names: list[str]):
+    # An acceleration of at most 2300, and a speed of 21.6 (19.3 to 23.8), were initial guesses.
+    rng = np.random.default_rng(1)
+    reference = np.repeat(rng.uniform(-1.0, 1.0, 20), 60)
+    position = np.empty(reference.size)
+    simulated_with_limits(reference, 0.0, *limits, position)
+    position += rng.normal(0.0, 1e-4, position.size)
+    found = diagnosis_of([Run(TIME_S, reference_n=reference, position_m=position, information={
+        'signals': {'reference': 'rad', 'position': 'rad'}})], {}, 'joint')
+    assert found.verdict == ()
+    values = found.best(found.groups[0]).fitted.record
+    assert [name for name in ('servo_rate', 'servo_acceleration') if values[name]] == names
+    assert values[names[0]] == pytest.approx(min(limits), rel=0.01)
+
+
 def test_fine_steps_of_a_reference_are_found():
     # Fifty steps over its range, less than 1 % of the motion: they were not looked for.
     rng = np.random.default_rng(4)
