@@ -31,7 +31,8 @@ def split_bag(path: str | Path, out: str | Path) -> dict[Path, int]:
     A part ends where the stamps go back, as they do when the actuator is started again in
     lock-step, and where none comes for STILL_S. Messages are copied as they are, with what the
     bag says of the run; a topic of which the parts cannot be told is left out, with an
-    InputWarning. Raises InputError if there is nothing to divide, or a part exists already.
+    InputWarning. Raises InputError if there is nothing to divide, no topic of which the parts can
+    be told, or a part exists already.
 
     >>> import tempfile
     >>> import asi_analysis as asi
@@ -84,6 +85,8 @@ def _cuts(path: Path, topics: Sequence[Topic]) -> tuple[dict[str, list[int]], li
                             f'those of {first.name}')
         else:
             cuts[topic.name] = found
+    if not cuts:
+        raise InputError('; '.join(problems))
     return cuts, problems
 
 
