@@ -271,6 +271,8 @@ def _without_idle_limits(servo: Servo, recordings: Sequence[Recording]) -> Servo
     power = partial(_power, recordings=recordings, part='fit')
     for name in ('acceleration', 'rate'):
         without = servo._replace(**{name: 0.0})
+        free = [each for each in LIMITED if getattr(without, each) > 0.0]
+        without = _fitted(without, (*free, 'delay'), recordings)
         if power(servo) >= LEFT_UNLIMITED * power(without):
             servo = without
     return servo
