@@ -31,7 +31,8 @@ def split_bag(path: str | Path, out: str | Path) -> dict[Path, int]:
     A part ends where the stamps go back, as they do when the actuator is started again in
     lock-step, and where none comes for STILL_S. Messages are copied as they are, with what the
     bag says of the run; a topic of which the parts cannot be told is left out, with an
-    InputWarning. Raises InputError if there is nothing to divide, or a part exists already.
+    InputWarning. Raises InputError if there is nothing to divide, no topic of which the parts can
+    be told, or a part exists already.
 
     >>> import tempfile
     >>> import asi_analysis as asi
@@ -67,24 +68,33 @@ def _cuts(path: Path, topics: Sequence[Topic]) -> tuple[dict[str, list[int]], li
     if not begins:
         raise InputError(f'{path} is in one piece: its stamps rise without a pause')
     # In lock-step times of recording are stamps, too, and go back with them.
-    back = any(log_ns[k] <= log_ns[k - 1] for k in begins)
+    back = _goes_back(log_ns, begins)
     between = [(log_ns[k - 1] + log_ns[k]) // 2 for k in begins]
     cuts: dict[str, list[int]] = {}
     problems = []
     for topic in topics:
         times = np.array(topic.log_ns)
-        found = _begins(times) if back else np.searchsorted(times, between).tolist()
-        if len(found) != len(begins):   # of few messages, as the states of two starts
+        known = not any(back)
+        found = np.searchsorted(times, between).tolist() if known else _begins(times)
+        if not known and _goes_back(times, found) != back:   # as the states of two starts
             found = (np.flatnonzero(np.diff(times) <= 0) + 1).tolist()
+        known = known or _goes_back(times, found) == back
         if topic.type not in typestore().fielddefs:
             problems.append(f'{path}: {topic.name} is left out: ROS 2 Jazzy does not define '
                             f'its type, {topic.type}')
-        elif len(found) != len(begins):
+        elif not known:
             problems.append(f'{path}: {topic.name} is left out: its times do not go back with '
                             f'those of {first.name}')
         else:
             cuts[topic.name] = found
+    if not cuts:
+        raise InputError('; '.join(problems))
     return cuts, problems
+
+
+def _goes_back(times: Nanoseconds, begins: Sequence[int]) -> list[bool]:
+    """Return, for each begin of a part, whether times go back there and do not only pause."""
+    return [bool(times[k] <= times[k - 1]) for k in begins]
 
 
 def _time_base(topics: Sequence[Topic]) -> Topic:

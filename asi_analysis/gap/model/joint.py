@@ -275,7 +275,8 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
             getattr(each, own) / getattr(servo, own) for each, _ in starts), 'nominal', anew=True)
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
                                       ('damping_ratio', 'damping', (low, high)))
-        ), *(LIMITS if servo.limited else loop_of(servo, [lead for _, lead in starts]))
+        ), *([limit for limit in LIMITS if nominal[limit.field] > 0.0] if servo.limited else
+             loop_of(servo, [lead for _, lead in starts]))
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:

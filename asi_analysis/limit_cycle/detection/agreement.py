@@ -144,8 +144,8 @@ def _unless_driven(run: Run, found: list[Segment], at: int) -> Segment:
                 f'driven open loop, or a limit cycle: {known}, and nothing shows that the command '
                 f'answers the output, which explains {100 * share:.0f} % of its innovation; '
                 f'{ask}'))
-        if switches and not answers:
-            known = 'its command switches as regularly as a recorded course'
+    if switches and not answers:
+        known = 'its command switches as regularly as a recorded course'
     if run.reference_n is None:
         return _at_most(segment, UNDRIVEN[share is not None], known, ask)
     if switches and not answers:

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
+from asi_analysis.bags import splitting
 from asi_analysis.bags.bag import read_bag
 from asi_analysis.bags.bag_writer import BagWriter
 from asi_analysis.bags.encoding import encode
@@ -99,3 +101,26 @@ def test_a_topic_of_which_the_parts_are_not_known_is_told(tmp_path: Path) -> Non
     writer.close()
     with pytest.warns(InputWarning, match='/velocity is left out: its times do not go back'):
         split_bag(tmp_path / 'other', tmp_path / 'others')
+
+
+def test_a_bag_without_a_type_that_is_known_is_refused(tmp_path: Path,
+                                                       monkeypatch: pytest.MonkeyPatch) -> None:
+    # It ended in a traceback: no topic had a part.
+    bag = written(tmp_path / 'bag', RESTARTED, RESTARTED)
+    monkeypatch.setattr(splitting, 'typestore', lambda: get_typestore(Stores.EMPTY))
+    with pytest.raises(InputError, match='/bench/reference is left out: ROS 2 Jazzy does not'):
+        split_bag(bag, tmp_path / 'parts')
+
+
+def test_a_pause_of_a_topic_is_no_restart(tmp_path: Path) -> None:
+    # Its messages after the pause went into the second part, in which the times are others.
+    writer = BagWriter(tmp_path / 'other')
+    for name, times in (('force', stamps((1, 3000), (1, 200))),
+                        ('velocity', stamps((1, 40), (2000, 40)))):
+        channel = writer.add_topic(f'/{name}', TOPICS[name].type)
+        for number, data in enumerate(encode(TOPICS[name].type, times,
+                                             {'value': np.ones(len(times))})):
+            writer.write(channel, int(times[number]), int(times[number]), number + 1, bytes(data))
+    writer.close()
+    with pytest.warns(InputWarning, match='/velocity is left out'):
+        assert list(split_bag(tmp_path / 'other', tmp_path / 'others').values()) == [3000, 200]

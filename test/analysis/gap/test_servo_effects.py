@@ -60,15 +60,9 @@ def run_of(reference=REFERENCE, friction=0.0, breakaway=1.0, stiffness=0.0, late
 
 
 def test_friction_within_the_block_is_that_of_a_fine_simulation():
-    fine, found = np.empty((2, REFERENCE.size))
+    fine = np.empty(REFERENCE.size)
     simulated(REFERENCE, 0.03 * (8.0 * np.pi) ** 2, 1.5, 0.0, 400, fine)
-    p = plant_record(IDEAL)
-    p['valve_characteristic_full_opening'] = 1.0
-    p['valve_flexure_model'] = FULL
-    p['valve_flexure_coil_frequency'], p['valve_flexure_delay'] = 1e9, 0.0
-    p['valve_flexure_natural_frequency'], p['valve_flexure_damping_ratio'] = 4.0, 0.7
-    p['servo_friction'], p['servo_breakaway'], p['servo_stribeck'] = 0.03, 0.5, 0.2
-    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 7, found)   # as many as in a fit
+    found = in_a_block(4.0, 0.7, friction=0.03, breakaway=0.5, stribeck=0.2)
     # With the rest of a sub-step lost in which the motion turns, it is ten times as much.
     assert np.abs(found - fine).max() < 2e-4 * np.ptp(fine)
 
@@ -131,6 +125,35 @@ def simulated_with_limits(reference, friction, rate, acceleration, out):
             x += h * v
 
 
+def in_a_block(frequency: float, damping: float, **servo: float) -> np.ndarray:
+    """Return the position of a servo by the block of the fit, with the sub-steps of a fit."""
+    p = plant_record(IDEAL)
+    p['valve_characteristic_full_opening'] = 1.0
+    p['valve_flexure_model'] = FULL
+    p['valve_flexure_coil_frequency'], p['valve_flexure_delay'] = 1e9, 0.0
+    p['valve_flexure_natural_frequency'], p['valve_flexure_damping_ratio'] = frequency, damping
+    for name, value in servo.items():
+        p[f'servo_{name}'] = value
+    found = np.empty(REFERENCE.size)
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 7, found)
+    return found
+
+
+@pytest.mark.parametrize('friction', [20.0, 55.0])
+def test_friction_beside_a_limited_acceleration_is_that_of_a_fine_simulation(friction: float):
+    fine = np.empty(REFERENCE.size)
+    simulated_with_limits(REFERENCE, friction, 4.0, 60.0, fine)
+    found = in_a_block(6.0, 0.8, friction=friction / (12.0 * np.pi) ** 2, rate=4.0,
+                       acceleration=60.0)
+    # With the friction divided as in a loop without limits it was 0.0014, and 0.12.
+    assert np.abs(found - fine).max() < 2e-4 * np.ptp(fine)
+
+
+def test_a_servo_that_is_weaker_than_its_friction_rests():
+    # It crept away from its reference: a limited push was less than the friction against it.
+    assert np.ptp(in_a_block(6.0, 0.8, friction=0.2, acceleration=60.0)) == 0.0
+
+
 @pytest.mark.parametrize('friction', [0.0, 20.0])
 def test_friction_of_a_servo_with_limits_is_found(friction: float):
     # The limits had a law of their own, without friction: unknown, 0.80.
@@ -152,6 +175,23 @@ def test_friction_of_a_servo_with_limits_is_found(friction: float):
         exported, *_ = node_parameters(found, {})
         assert exported['friction.coulomb'] == pytest.approx(20.0, rel=0.03)
         assert exported['servo.acceleration_limit'] == pytest.approx(60.0, rel=0.01)
+
+
+@pytest.mark.parametrize(('limits', 'names'), [
+    ((3.0, 1e9), ['servo_rate']), ((1e9, 400.0), ['servo_acceleration'])])
+def test_a_limit_that_is_not_reached_is_not_told(limits: tuple[float, float], names: list[str]):
+    # An acceleration of at most 2300, and a speed of 21.6 (19.3 to 23.8), were initial guesses.
+    rng = np.random.default_rng(1)
+    reference = np.repeat(rng.uniform(-1.0, 1.0, 20), 60)
+    position = np.empty(reference.size)
+    simulated_with_limits(reference, 0.0, *limits, position)
+    position += rng.normal(0.0, 1e-4, position.size)
+    found = diagnosis_of([Run(TIME_S, reference_n=reference, position_m=position, information={
+        'signals': {'reference': 'rad', 'position': 'rad'}})], {}, 'joint')
+    assert found.verdict == ()
+    values = found.best(found.groups[0]).fitted.record
+    assert [name for name in ('servo_rate', 'servo_acceleration') if values[name]] == names
+    assert values[names[0]] == pytest.approx(min(limits), rel=0.01)
 
 
 def test_fine_steps_of_a_reference_are_found():

@@ -279,6 +279,12 @@ def test_a_loop_that_repeats_itself_is_closed_if_a_law_of_the_output_gives_the_c
     assert not follows_a_law(Run(t, None, triangle, output), 'force', 0.0, 20.0, 0.51)
 
 
+def test_a_relay_whose_reference_creeps_is_not_told_to_have_one_at_rest():
+    run = relay(np.random.default_rng(2))
+    creeping = replace(run, reference_n=np.linspace(0.0, 1e-3, len(run)))
+    assert 'its command switches' in judge_run(creeping)[-1].why
+
+
 def test_an_undamped_linear_loop_that_rings_after_a_step_has_no_amplitude_that_settles():
     t = np.arange(0.0, 7.0, 0.0046)
     noise = 0.005 * np.random.default_rng(2).standard_normal(t.size)

@@ -228,7 +228,7 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     one_pole = _lagging(delayed, recordings)
     two_poles = _lagging(delayed, recordings, one_pole)
     found = sorted((delayed, one_pole, two_poles), key=power)
-    limited = _limited(delayed, recordings)
+    limited = _without_idle_limits(_limited(delayed, recordings), recordings)
     if power(limited) < LEFT_UNLIMITED * power(found[0]):
         found = [limited]
     residual = left_of(found[0], recordings, 'held_out')
@@ -264,6 +264,18 @@ def _limited(delayed: Servo, recordings: Sequence[Recording]) -> Servo:
             break
         best = min(best, start, key=power)
     return min(best, _fitted(best, (*LIMITED, 'delay'), recordings), key=power)
+
+
+def _without_idle_limits(servo: Servo, recordings: Sequence[Recording]) -> Servo:
+    """Return a servo without a limit that it hardly reaches: it tells nothing of its size."""
+    power = partial(_power, recordings=recordings, part='fit')
+    for name in ('acceleration', 'rate'):
+        without = servo._replace(**{name: 0.0})
+        free = [each for each in LIMITED if getattr(without, each) > 0.0]
+        without = _fitted(without, (*free, 'delay'), recordings)
+        if power(servo) >= LEFT_UNLIMITED * power(without):
+            servo = without
+    return servo
 
 
 def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | None = None

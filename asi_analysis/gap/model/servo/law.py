@@ -92,19 +92,21 @@ def drive_step(state, drawn, lag, e):
     loop pulls, m.
     """
     position, rate = state[POSITION], state[RATE]
-    friction = rub(drawn - position, rate, e)
-    if rate == 0.0 and friction == drawn - position:
-        return friction
     most = 2.0 * lag.half_step * e.servo_acceleration
-    after = pushed(rate, second_order_step(position, rate, drawn, lag)[1], most)
-    after -= lag.pull * friction
+    stiff = 2.0 * lag.pull / (1.0 + lag.keep)   # of the loop: its rise of the rate, 1/s
+    friction = rub(pushed(0.0, drawn - position, most / stiff), rate, e)
+    if rate == 0.0 and abs(friction) < e.servo_friction * (1.0 + e.servo_breakaway):
+        return friction
+    after = pushed(rate - stiff * friction,
+                   second_order_step(position, rate, drawn - friction, lag)[1], most)
     if friction != 0.0 and rate * after < 0.0:   # it stops, and may start the other way
         share = rate / (rate - after)
         position += share * lag.half_step * rate
         share, rate = 1.0 - share, 0.0
-        friction = rub(drawn - position, rate, e)
-        after = share * (pushed(0.0, lag.pull * (drawn - position), most) - lag.pull * friction)
-        if friction == drawn - position:
+        pull = drawn - position
+        friction = rub(pushed(0.0, pull, most / stiff), rate, e)
+        after = share * pushed(-stiff * friction, lag.pull * (pull - friction), most)
+        if abs(friction) < e.servo_friction * (1.0 + e.servo_breakaway):
             after = 0.0
         position += share * lag.half_step * after - lag.half_step * after
     if e.servo_rate > 0.0:
