@@ -158,17 +158,24 @@ def _pruned(group: Group, found: dict[Names, Candidate]) -> dict[Names, Candidat
     """
     Return the best hypothesis without one of its effects, where that improves the smaller one.
 
-    A single effect may have been fitted in a form that is not the best one in a combination.
+    A single effect may have been fitted in a form that is not the best one in a combination, or
+    not at all. The best of the smaller ones is reduced in turn.
     """
     best = min(found.values(), key=lambda candidate: candidate.fitted.cost)
     better: dict[Names, Candidate] = {}
-    for effect in (name for name in group.effects if name in best.names):
-        names = tuple(name for name in best.names if name != effect)
-        variants = tuple(each for each in best.variants if each not in group.effects[effect])
-        if names and len(variants) == len(names) and not any(each.joined for each in variants):
-            fitted = fit_subset(group, found[()].fitted, variants, best.fitted)
-            if names not in found or fitted.cost < found[names].fitted.cost:
-                better[names] = Candidate(names, variants, fitted)
+    while len(best.names) > 1:
+        smaller = []
+        for effect in (name for name in group.effects if name in best.names):
+            names = tuple(name for name in best.names if name != effect)
+            variants = tuple(each for each in best.variants if each not in group.effects[effect])
+            if len(variants) == len(names) and not any(each.joined for each in variants):
+                fitted = fit_subset(group, found[()].fitted, variants, best.fitted)
+                smaller.append(Candidate(names, variants, fitted))
+        better |= {each.names: each for each in smaller if each.names not in found
+                   or each.fitted.cost < found[each.names].fitted.cost}
+        if not smaller:
+            break
+        best = min(smaller, key=lambda candidate: candidate.fitted.cost)
     return better
 
 

@@ -45,7 +45,7 @@ from asi_analysis.gap.model.rattling import (
     rattling_in,
     rattling_mechanics,
 )
-from asi_analysis.gap.model.servo.forms import forms_of, loop_of, swapped
+from asi_analysis.gap.model.servo.forms import forms_of, initial_state, loop_of, swapped
 from asi_analysis.gap.model.servo.identification import (
     DAMPINGS,
     Servo,
@@ -276,7 +276,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
             for name, own, bounds in (('natural_frequency', 'pulsation', FREQUENCY_BOUNDS),
                                       ('damping_ratio', 'damping', (low, high)))
         ), *([limit for limit in LIMITS if nominal[limit.field] > 0.0] if servo.limited else
-             loop_of(servo, [lead for _, lead in starts]))
+             loop_of(servo, [lead for _, lead in starts])), *initial_state(recordings)
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
     if proportional:

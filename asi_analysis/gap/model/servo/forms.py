@@ -24,12 +24,29 @@ MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its sti
 MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
 
 
+def initial_state(recordings: Sequence[Recording]) -> tuple[Free, ...]:
+    """
+    Return the free state of the drive where a recording begins amid a motion.
+
+    In every fit: in that of a compliance alone, it would be evidence for one.
+    """
+    if not any(r.begins for r in recordings):
+        return ()
+    amplitude, speed = _motion(recordings)
+    return (Free('servo_ahead', -amplitude, amplitude, (0.0,)),
+            Free('servo_faster', -2.0 * speed, 2.0 * speed, (0.0,)))
+
+
+def _motion(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return range and speed of a servo's motion."""
+    return (max(float(np.ptp(r.output[r.valid])) for r in recordings),
+            max(float(np.quantile(np.abs(np.diff(r.output)), FAST)) / r.period_s
+                for r in recordings))
+
+
 def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[Variant, ...]]:
     """Return the forms of the effects within a servo of second order, by name."""
-    amplitude = max(float(np.ptp(r.valve_position[r.valid])) for r in recordings
-                    if r.valve_position is not None)
-    speed = max(float(np.quantile(np.abs(np.diff(r.output)), FAST)) / r.period_s
-                for r in recordings)
+    amplitude, speed = _motion(recordings)
     low, start, high = STRIBECKS
     friction = (
         Free('servo_friction', LEAST_FRICTION * amplitude, amplitude, tuple(
@@ -39,13 +56,10 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
     sticking = (Free('servo_breakaway', 0.25, 6.0, (1.0,)),
                 Free('servo_stribeck', low * speed, high * speed, (start * speed,), '', 'm/s'))
     frequency = servo.pulsation / (2.0 * math.pi)
-    compliance: tuple[Free, ...] = (
+    compliance = (
         Free('servo_load_frequency', 0.3 * frequency, 20.0 * frequency, tuple(
             each * frequency for each in LOAD_FREQUENCIES), '', 'Hz'),
         Free('servo_load_damping', LOAD_DAMPINGS[0], LOAD_DAMPINGS[-1], (LOAD_DAMPINGS[1],)))
-    if any(r.begins for r in recordings):   # its state is not measured, and decays slowly
-        compliance += (Free('servo_ahead', -amplitude, amplitude, (0.0,)),
-                       Free('servo_faster', -2.0 * speed, 2.0 * speed, (0.0,)))
     return {name: (Variant(free, ('valve',)),) for name, free in (
         ('coulomb_friction', friction), ('stiction', (*friction, *sticking)),
         ('load_compliance', compliance))}

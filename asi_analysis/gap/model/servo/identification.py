@@ -202,12 +202,16 @@ def error_of(servo: Servo, recordings: Sequence[Recording]) -> float:
     return left if left < ALMOST * noise else math.inf
 
 
-def hidden_servos(slow: Servo) -> list[Servo]:
+def servos_beside_an_effect(slow: Servo, recordings: Sequence[Recording]) -> list[Servo]:
     """
     Return servos of second order as late as one of first order that was fitted, and faster.
 
-    What an effect hides may be late because of that effect, as friction delays a slow motion.
+    What an effect hides may be late because of that effect, as friction delays a slow motion. One
+    with limits that the recordings show is returned alone.
     """
+    limited = _without_idle_limits(_limited(second_order(recordings), recordings), recordings)
+    if limited.limited:
+        return [limited]
     pulsation = 2.0 * DAMPING / slow.late_s
     return [Servo(faster * pulsation, DAMPING) for faster in HIDDEN]
 

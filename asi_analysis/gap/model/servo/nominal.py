@@ -11,10 +11,10 @@ from asi_analysis.gap.model.servo.identification import (
     LONGEST_DELAY,
     Servo,
     error_of,
-    hidden_servos,
     left_by,
     second_order,
     servo_of,
+    servos_beside_an_effect,
     slow_servo,
     thinned,
 )
@@ -48,7 +48,8 @@ def identified_servo(recordings: Sequence[Recording], hidden: bool
         slow = slow_servo(stepped)
     moved = float(np.std(np.concatenate([r.output for r in decimated])))
     error = min(SERVO_ERROR, max(MODEL_ERROR, SERVO_RESIDUAL * error_of(slow, stepped) / moved))
-    return hidden_servos(slow) if hidden else servo_of(stepped, slow), steps, error
+    return (servos_beside_an_effect(slow, stepped) if hidden else servo_of(stepped, slow), steps,
+            error)
 
 
 def stepping(steps: Steps) -> Variant:
