@@ -415,13 +415,13 @@ def polish(group: Group, fitted: Fitted) -> Fitted:
     """
     Return an approximate fit, continued with the full Jacobian.
 
-    With a mass behind a backlash or a compliance, also from other shares of that mass: there are
-    local minima, since each contact appears or vanishes, and a free oscillation has any phase.
+    With a mass that moves freely within a backlash, also from other shares of that mass: each
+    contact that appears or vanishes makes a local minimum.
     """
     fixed = fitted.problem.fixed
     best = fit(group, fitted.free, [fitted.theta], fixed, rounds=POLISH_ROUNDS)
     fields = [free.field for free in fitted.free]
-    if 'piston_share' in fields:
+    if ('backlash_floating', 1.0) in fixed and 'piston_share' in fields:
         for share in MASS_SHARES:
             moved = best.theta.copy()
             moved[fields.index('piston_share')] = share

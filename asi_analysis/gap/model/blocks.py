@@ -39,6 +39,8 @@ from asi_actuator.model.valve_hysteresis import (
 from asi_actuator.parameters import ACTUATOR_DTYPE, RING
 from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model.servo.law import (
+    OUTPUT,
+    RATE,
     SERVO_FIELDS,
     disturbed,
     moving,
@@ -204,7 +206,7 @@ def valve(command, p, e, period, count, out, begins=(math.nan, 0.0)):
     serves, lags, servo = disturbed(e), servo_lags(e, h), moving(rest, 0.0, e)
     if begins[0] == begins[0]:
         servo = moving(begins[0], begins[1], e)
-        pipe, pipe_rate = begins
+        pipe, pipe_rate = servo[OUTPUT], servo[RATE]
     for k in range(out.shape[0]):
         position = behind if e.loop_behind > 0.5 else valve_position(pipe, p)
         if e.valve_limit > 0.0:

@@ -97,16 +97,18 @@ ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in o
 # A load behind a compliance may oscillate at the start of a recording; damping may be before it.
 LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
           Free('damping_share', 0.0, 1.0, (0.5,)))
-# Initial guesses of a compliance over that which explains the whole motion: a lightly damped
-# resonance guides a fit over a factor of two.
-COMPLIANCES = (0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06, 0.12, 0.3, 0.7, 1.5, 3.0)
+# A stiff coupling, of which the motion shows the resonance: the compliance over that which would
+# explain the whole motion, on a logarithmic scale. A resonance guides a fit over a factor of two.
+STIFF = {'compliance': Free('compliance', 1e-5, 0.1, (
+             0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06), 'compliance', 'm/N'),
+         'piston_share': Free('piston_share', 0.0, 0.8, (0.5, 0.1))}
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_behind', 1.0),))
-# Delay and lag of a slow machine's position loop: ten times those of a valve.
-SLOW_LOOP = {field: Free(field, 1e-4, 1.0, (0.001, 0.004, 0.015, 0.06, 0.2), '', 's')
-        for field in ('command_delay', 'valve_lag')}
+# Delay and lag of a slow machine's position loop: ten times those of a valve, s; or in samples.
+LONGEST, LONGEST_SAMPLES = 1.0, 20
+LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
 
 
 def drive_of(runs: Sequence[Run]) -> str:
@@ -291,7 +293,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     own |= forms_of(servos[0], recordings) if dynamics else {}
     late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]
     effects = {name: own[name] if name in own and not proportional else tuple(
-        form._replace(free=tuple(near(SLOW_LOOP.get(free.field, free), [*servos, *late])
+        form._replace(free=tuple(near(_of_a_loop(free, recordings), [*servos, *late])
                                  for free in form.free))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
@@ -301,6 +303,16 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
         [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
+
+
+def _of_a_loop(free: Free, recordings: Sequence[Recording]) -> Free:
+    """Return a free delay or lag with the range of a position loop; others as they are."""
+    if free.field not in ('command_delay', 'valve_lag'):
+        return free
+    period = max(r.period_s for r in recordings)
+    slow = [samples * period for samples in (1.0, 5.0) if period * LONGEST_SAMPLES > LONGEST]
+    return Free(free.field, 1e-4, max(LONGEST, LONGEST_SAMPLES * period),
+                (*LOOP_TIMES, *slow), '', 's')
 
 
 def _gain(recordings: Sequence[Recording]) -> float:
@@ -398,8 +410,6 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     low, high = (share * travel for share in BRISTLE)
     wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
-             'compliance': Free('', 1e-5, 6.0, COMPLIANCES, 'compliance'),
-             'piston_share': Free('', 0.0, 0.8, (0.5, 0.1)),
              'sensor_lag': Free('', 0.0, 0.05, (0.0005, 0.002, 0.006, 0.02))}
 
     def applies(variant: Variant) -> bool:
@@ -417,6 +427,9 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     effects = {name: forms for name, variants in EFFECTS.items()
                if (forms := tuple(form for each in variants if applies(each) for form in (
                    rattling if ('backlash_floating', 1.0) in each.fixed else (scaled(each),))))}
+    soft, = effects['load_compliance']
+    effects['load_compliance'] = soft, soft._replace(free=tuple(
+        STIFF.get(free.field, free) for free in soft.free))
     effects |= POSITION_GAIN if mass_given else {}
     if not force_measured:
         late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')

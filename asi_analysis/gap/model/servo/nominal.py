@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import correlate
 
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import MODEL_ERROR
@@ -11,7 +12,6 @@ from asi_analysis.gap.model.servo.identification import (
     LONGEST_DELAY,
     Servo,
     error_of,
-    left_by,
     second_order,
     servo_of,
     servos_beside_an_effect,
@@ -73,17 +73,19 @@ def late_by(recordings: Sequence[Recording]) -> float:
     """
     Return by how many whole samples (in s) an output follows its held command with a delay.
 
-    Each delay is tried, since the noise of a command makes a local minimum between two samples:
-    their mean has less of it.
+    By correlation, for each delay: the noise of a command makes a local minimum of a fit between
+    two samples, since their mean has less of it.
     """
-    period = max(r.period_s for r in recordings)
     fitted = [r for r in recordings if r.fit.any()]
-    most = min(math.ceil(LONGEST_DELAY / period), min(r.fit.size for r in fitted) // 4)
-
-    def left(late: int) -> float:
-        moved = [np.concatenate([np.full(late, r.input[0]), r.input[:r.input.size - late]])
-                 for r in fitted]
-        return float(np.mean(left_by(moved, fitted, 'fit') ** 2))
-
+    period = max(r.period_s for r in recordings)
+    most = max(min(math.ceil(LONGEST_DELAY / period), min(r.fit.size for r in fitted) // 4), 2)
+    shared, power = np.zeros((2, most))
+    for r in fitted:
+        command, used = r.input - r.input.mean(), r.fit.astype(float)
+        output = (r.output - r.output[r.fit].mean()) * used
+        start = command.size - 1
+        shared += correlate(output, command)[start:start + most]
+        power += correlate(used, command ** 2)[start:start + most]
     # Without a delay the output answers the command of the sample before.
-    return period * (min(range(1, max(most, 2)), key=left) - 1)
+    explained = np.maximum(shared, 0.0)[1:] ** 2 / np.maximum(power[1:], 1e-300)
+    return period * int(np.argmax(explained))

@@ -25,7 +25,9 @@ from asi_analysis.gap.model.servo.identification import (
 )
 from asi_analysis.gap.prepare import Recording
 
-MOST_STEPS: Final = 400    # over the range of the reference
+# Over the range of the reference: as many are looked for, whatever its speed, and at most.
+FEWEST_STEPS: Final = 60
+MOST_STEPS: Final = 400
 # Initial guesses: all numbers of steps over the range, at this spacing; at most so many samples
 # are used; the best ones are refined, with ranges that become smaller.
 SPACING: Final = 0.2
@@ -126,8 +128,10 @@ def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
     jump = replace(r, command=one, valve_position=np.zeros(size), begins=None)
     length = next_fast_len(2 * size, real=True)
     response = rfft(np.diff(response_of(servo, jump), append=1.0), length)
+    # The rounding of a reference that moves more than a step in a sample is mere noise.
+    most = span / max(float(np.median(np.abs(np.diff(recording.input)))), span / MOST_STEPS)
     explained = {}
-    for count in np.arange(1.5, MOST_STEPS, SPACING):
+    for count in np.arange(1.5, max(most, FEWEST_STEPS), SPACING):
         angle = 2.0 * math.pi * count / span * reference
         waves = irfft(response * rfft([np.sin(angle), np.cos(angle)], length), length)[:, :size]
         waves = waves[:, r.fit]
