@@ -94,7 +94,8 @@ def test_a_stiff_coupling_is_found():
     assert answer.which[0]['parameters']['compliance'] == pytest.approx(1.0 / 720.0, rel=0.05)
 
 
-@pytest.mark.parametrize(('share', 'verdict'), [(1.1, 'no_gap'), (0.5, 'coulomb_friction')])
+@pytest.mark.parametrize(('share', 'verdict'), [
+    (1.1, 'no_gap'), pytest.param(0.5, 'coulomb_friction', marks=pytest.mark.slow)])
 def test_a_friction_that_is_given_has_a_tolerance(share: float, verdict: str):
     # A nominal friction off by 10 % was Coulomb friction, 0.84: it alone was taken as exact.
     rng, period, fine = np.random.default_rng(6), 0.004, 40
@@ -117,7 +118,8 @@ def test_a_friction_that_is_given_has_a_tolerance(share: float, verdict: str):
     assert diagnose([run], model, 'joint').verdict == verdict
 
 
-@pytest.mark.parametrize(('share', 'verdict'), [(1.1, 'no_gap'), (0.6, 'gravity')])
+@pytest.mark.parametrize(('share', 'verdict'), [
+    (1.1, 'no_gap'), pytest.param(0.6, 'gravity', marks=pytest.mark.slow)])
 def test_gravity_that_is_given_has_a_tolerance(share: float, verdict: str):
     rng, period, fine = np.random.default_rng(6), 0.004, 10
     time = period * np.arange(4000)

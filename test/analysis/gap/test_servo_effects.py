@@ -98,8 +98,9 @@ def test_a_servo_that_is_recorded_from_amid_a_motion_is_told(cut: int, told: boo
 
 
 @pytest.mark.parametrize(('fault', 'verdict'), [
-    ({}, ()), ({'late': 6.0}, ('transport_delay',)), ({'friction': 25.0}, ('coulomb_friction',)),
-    ({'stiffness': 400.0}, ('load_compliance',))])
+    ({}, ()), ({'stiffness': 400.0}, ('load_compliance',)),
+    pytest.param({'late': 6.0}, ('transport_delay',), marks=pytest.mark.slow),
+    pytest.param({'friction': 25.0}, ('coulomb_friction',), marks=pytest.mark.slow)])
 def test_a_recording_that_begins_amid_a_motion_has_the_verdict_of_the_whole(
         fault: dict[str, float], verdict: tuple[str, ...]):
     # Simulated from rest, each was unknown; a compliance still rings when the recording ends.
@@ -154,7 +155,7 @@ def test_a_servo_that_is_weaker_than_its_friction_rests():
     assert np.ptp(in_a_block(6.0, 0.8, friction=0.2, acceleration=60.0)) == 0.0
 
 
-@pytest.mark.parametrize('friction', [0.0, 20.0])
+@pytest.mark.parametrize('friction', [pytest.param(0.0, marks=pytest.mark.slow), 20.0])
 def test_friction_of_a_servo_with_limits_is_found(friction: float):
     # The limits had a law of their own, without friction: unknown, 0.80.
     rng = np.random.default_rng(1)
@@ -194,6 +195,7 @@ def test_a_limit_that_is_not_reached_is_not_told(limits: tuple[float, float], na
     assert values[names[0]] == pytest.approx(min(limits), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'first', 'last'), [(1, 35, 1000), (9, 0, 1200)])
 def test_friction_of_a_servo_with_limits_is_no_other_effect(seed: int, first: int, last: int):
     # Beside a compliance of 400 Hz, 0.64: friction was not fitted alone; and a servo that shows
