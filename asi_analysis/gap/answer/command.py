@@ -216,17 +216,22 @@ def _of_the_joint(diagnosis: Diagnosis, values: Mapping[str, Value]) -> list[str
                 + ', and a constant force')
         else:
             p = diagnosis.best(weighed).fitted.record
-            how = 'at once' if p['valve_flexure_model'] != FULL else (
-                f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}'
-                f', damping ratio {digits(p["valve_flexure_damping_ratio"])}' + ''.join(
-                    f', {word} {digits(p[f"servo_{name}"], unit_of(unit, channel, run, "joint"))}'
-                    for word, name, unit in (('largest speed', 'rate', 'm/s'), (
-                        'largest acceleration', 'acceleration', 'm/s2'))
-                    if p[f'servo_{name}']))
+            how = _as_a_servo(p, channel, run) if p['valve_flexure_model'] == FULL else 'at once'
             notes.append(f'nominal drive: the {signal_of(channel, run, "joint")} follows the '
                          + (f'reference {how}' if run.command_n is None else
                             'command at once, in proportion'))
     return notes
+
+
+def _as_a_servo(p: np.void, channel: str, run: Run) -> str:
+    """Return the words for a servo of second order, with the limits that it has."""
+    words = (f'as a servo of second order: {digits(p["valve_flexure_natural_frequency"], "Hz")}, '
+             f'damping ratio {digits(p["valve_flexure_damping_ratio"])}')
+    for word, field, unit in (('largest speed', 'servo_rate', 'm/s'),
+                              ('largest acceleration', 'servo_acceleration', 'm/s2')):
+        if p[field] > 0.0:
+            words += f', {word} {digits(p[field], unit_of(unit, channel, run, "joint"))}'
+    return words
 
 
 def _gravity(recording: Recording, p: np.void, run: Run, origin: str) -> str:

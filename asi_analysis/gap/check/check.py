@@ -92,10 +92,17 @@ def examine(folder: Path, entry: Mapping[str, Any]) -> Row:
 def _diagnosed(folder: Path, entry: Mapping[str, Any]) -> Row:
     """Return the diagnosis of a case."""
     started = time.process_time()
+    plant = entry.get('plant', 'actuator')
+    for key in ('more', 'baseline'):
+        if not isinstance(entry.get(key) or [], list):
+            raise InputError(f'{key} = {entry[key]!r} is no list of bags')
+    if plant == 'joint' and 'fresh' in entry:
+        raise InputError('fresh takes an actuator or a characteristic: the shrink on another '
+                         'recording of a joint is not checked')
     runs, healthy = ([read_bag(folder / name) for name in names] for names in (
-        (entry['bag'], *entry.get('more', ())), entry.get('baseline', ())))
-    answer = diagnose(runs, folder / entry['model'] if entry.get('model') else None,
-                      entry.get('plant', 'actuator'), baseline=healthy)
+        (entry['bag'], *(entry.get('more') or ())), entry.get('baseline') or ()))
+    answer = diagnose(runs, folder / entry['model'] if entry.get('model') else None, plant,
+                      baseline=healthy)
     diagnosis = answer.diagnosis
     row = {key: answer[key] for key in ('verdict', 'probability', 'where', 'which',
                                         'ambiguity_set', 'gap', 'channels')}

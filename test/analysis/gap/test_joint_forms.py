@@ -1,11 +1,15 @@
 """Forms of a joint's effects, alone: lost motion, a servo with a lag."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from asi_analysis.bags.bag import write_bag
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
+from asi_analysis.gap.check.check import examine
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL
 from asi_analysis.gap.model.predict import plant_record
@@ -118,9 +122,8 @@ def test_a_friction_that_is_given_has_a_tolerance(share: float, verdict: str):
     assert diagnose([run], model, 'joint').verdict == verdict
 
 
-@pytest.mark.parametrize(('share', 'verdict'), [
-    (1.1, 'no_gap'), pytest.param(0.6, 'gravity', marks=pytest.mark.slow)])
-def test_gravity_that_is_given_has_a_tolerance(share: float, verdict: str):
+def elbow() -> Run:
+    """Return the recording of an arm: inertia 0.5, damping 4, gravity 9 sin q."""
     rng, period, fine = np.random.default_rng(6), 0.004, 10
     time = period * np.arange(4000)
     command = 9.0 * np.sin(0.5) + 2.0 * np.sin(2.0 * np.pi * 0.3 * time) + np.sin(
@@ -131,11 +134,26 @@ def test_gravity_that_is_given_has_a_tolerance(share: float, verdict: str):
         for _ in range(fine):
             v += period / fine * (command[k] - 4.0 * v - 9.0 * np.sin(q)) / 0.5
             q += period / fine * v
-    run = Run(time, command_n=command, position_m=np.array(position) + rng.normal(
+    return Run(time, command_n=command, position_m=np.array(position) + rng.normal(
         0.0, 1e-5, time.size), source='elbow', information={
             'signals': {'command': 'Nm', 'position': 'rad'}})
+
+
+@pytest.mark.parametrize(('share', 'verdict'), [
+    (1.1, 'no_gap'), pytest.param(0.6, 'gravity', marks=pytest.mark.slow)])
+def test_gravity_that_is_given_has_a_tolerance(share: float, verdict: str):
     model = {'plant': 'joint', 'load.mass': 0.5, 'load.damping': 4.0, 'gravity.sine': 9.0 * share}
-    assert diagnose([run], model, 'joint').verdict == verdict
+    assert diagnose([elbow()], model, 'joint').verdict == verdict
+
+
+def test_a_check_reads_the_model_of_a_joint(tmp_path: Path):
+    # It was read as an actuator's, and its gravity was ignored: "no gap", 0.91.
+    write_bag(elbow(), tmp_path / 'elbow')
+    (tmp_path / 'elbow.yaml').write_text(
+        '/**:\n  ros__parameters:\n    plant: joint\n    load: {mass: 0.5, damping: 4.0}\n'
+        '    gravity: {sine: 5.4}\n')
+    row = examine(tmp_path, {'bag': 'elbow', 'plant': 'joint', 'model': 'elbow.yaml'})
+    assert row['verdict'] == 'gravity'
 
 
 @pytest.mark.parametrize('samples', [1, 5, 40])

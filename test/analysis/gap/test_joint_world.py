@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from asi_analysis.gap.check.check import is_truth, run_cases, score, unseal
+from asi_analysis.gap.check.check import examine, is_truth, run_cases, score, unseal
 from asi_analysis.gap.diagnose import diagnose
 from asi_analysis.gap.document import document
 from asi_examiner.bags import write_cases
@@ -43,6 +43,15 @@ def test_cases_of_joints_are_written_and_judged(tmp_path):
         tmp_path / 'cases' / 'answers.sealed')
     assert is_truth(rows[0]['verdict'], answers['case_0000'])
     assert score(rows, answers)['cases'] == 1
+
+
+@pytest.mark.parametrize(('entry', 'why'), [
+    ({'baseline': 'healthy'}, "baseline = 'healthy' is no list of bags"),   # read by its letters
+    ({'fresh': 'again'}, 'fresh takes an actuator'),   # "nothing to compare", after the diagnosis
+])
+def test_a_case_that_cannot_be_checked_is_refused_in_words(entry, why, tmp_path):
+    row = examine(tmp_path, {'bag': 'case', 'plant': 'joint', **entry})
+    assert row['verdict'] == 'refused' and why in row['why']
 
 
 @pytest.mark.parametrize(('seed', 'effect', 'field', 'truth'), [

@@ -68,6 +68,7 @@ MOST_DECAYED: Final = 0.3
 # The most samples of all recordings that are used: else every second, third ... of them.
 MOST_SAMPLES: Final = 20_000
 
+
 class Servo(NamedTuple):
     """
     Natural frequency rad/s, damping ratio, limits of rate and acceleration, delay s, lag s.
