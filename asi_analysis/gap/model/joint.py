@@ -51,6 +51,7 @@ from asi_analysis.gap.model.servo.identification import (
     Servo,
     begins_moving,
     in_words,
+    offset_of,
     settled,
     slow_servo,
     thinned,
@@ -293,7 +294,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     own |= forms_of(servos[0], recordings) if dynamics else {}
     late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]
     effects = {name: own[name] if name in own and not proportional else tuple(
-        form._replace(free=tuple(near(_of_a_loop(free, recordings), [*servos, *late])
+        form._replace(free=tuple(near(_of_a_loop(free, recordings, proportional), [*servos, *late])
                                  for free in form.free))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
@@ -305,8 +306,16 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
 
 
-def _of_a_loop(free: Free, recordings: Sequence[Recording]) -> Free:
-    """Return a free delay or lag with the range of a position loop; others as they are."""
+def _of_a_loop(free: Free, recordings: Sequence[Recording], proportional: bool) -> Free:
+    """
+    Return a free delay, lag or bias with the range of a position loop; others as they are.
+
+    proportional: of a drive, whose output may have another unit than its command.
+    """
+    if free.field == 'command_bias' and not proportional:
+        found = float(np.mean([offset_of(r) for r in recordings]))
+        most = free.high * scales(recordings)['command'] + 2.0 * abs(found)
+        return Free(free.field, -most, most, (found,), '', free.unit)
     if free.field not in ('command_delay', 'valve_lag'):
         return free
     period = max(r.period_s for r in recordings)

@@ -109,6 +109,17 @@ def test_a_recording_that_begins_amid_a_motion_has_the_verdict_of_the_whole(
     assert found.joined[verdict] > 0.9
 
 
+@pytest.mark.parametrize('offset', [0.3, 5.0])
+def test_an_offset_of_any_size_is_a_bias(offset: float):
+    # Beyond 0.7 of the range of the reference it was a bias at its bound, and something unknown.
+    run = run_of()
+    assert run.position_m is not None
+    found = diagnosis_of([replace(run, position_m=run.position_m + offset)], {}, 'joint')
+    assert found.verdict == ('valve_bias',)
+    assert found.best(found.groups[0]).fitted.values['command_bias'] == pytest.approx(
+        offset, abs=1e-3)
+
+
 @jit
 def simulated_with_limits(reference, friction, rate, acceleration, out):
     """Put into `out` the position of a servo of 6 Hz; its motor has limits, and friction."""

@@ -302,11 +302,16 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
     return min((_fitted(each, free, recordings) for each in starts), key=power)
 
 
+def offset_of(recording: Recording) -> float:
+    """Return by how much a servo's output is above its reference in the mean."""
+    return float(np.mean((recording.output - recording.input)[recording.valid]))
+
+
 def begins_moving(recording: Recording) -> bool:
     """Return whether a recording begins off its reference, or while the joint moves."""
     output = recording.output
     speed = np.gradient(output, recording.period_s)
-    off = abs(float(output[0]) - float(recording.input[0]))
+    off = abs(float(output[0]) - float(recording.input[0]) - offset_of(recording))
     return bool(off > AWAY * np.std(output)
                 or abs(float(speed[:FIRST].mean())) > MOVING * np.std(speed))
 
@@ -342,7 +347,8 @@ def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[R
 def response_of(servo: Servo, recording: Recording) -> Array:
     """Return the response of a servo to the command, from the measured initial state."""
     start, rate = recording.begins or (float(recording.output[0]), 0.0)
-    return follow(servo, recording.input, start, recording.period_s, rate)
+    # Of an offset there is no transient; `left_by` takes it off.
+    return follow(servo, recording.input + offset_of(recording), start, recording.period_s, rate)
 
 
 def in_words(servo: Servo, unit: str) -> str:

@@ -18,6 +18,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.model.servo.identification import (
     ALMOST,
     Servo,
+    follow,
     left_of,
     response_of,
     second_order,
@@ -125,9 +126,8 @@ def _guesses(servo: Servo, recording: Recording) -> list[Steps]:
     error -= error.mean()
     one = np.ones(size)
     one[0] = 0.0
-    jump = replace(r, command=one, valve_position=np.zeros(size), begins=None)
     length = next_fast_len(2 * size, real=True)
-    response = rfft(np.diff(response_of(servo, jump), append=1.0), length)
+    response = rfft(np.diff(follow(servo, one, 0.0, r.period_s), append=1.0), length)
     # The rounding of a reference that moves more than a step in a sample is mere noise.
     most = span / max(float(np.median(np.abs(np.diff(recording.input)))), span / MOST_STEPS)
     explained = {}
