@@ -202,6 +202,7 @@ def valve(command, p, e, period, count, out, begins=(math.nan, 0.0)):
     filtered, flux, slow_flux = start, start, start
     rest = dead_zone(start, e.command_deadband)
     first, lagged, coil, pipe, pipe_rate = rest, rest, rest, rest, 0.0
+    sent, after = math.nan, rest
     behind = valve_position(rest, p)
     serves, lags, servo = disturbed(e), servo_lags(e, h), moving(rest, 0.0, e)
     if begins[0] == begins[0]:
@@ -218,12 +219,14 @@ def valve(command, p, e, period, count, out, begins=(math.nan, 0.0)):
             if e.command_quantum > 0.0:
                 u = in_steps(u, e.command_quantum, e.command_phase, e.command_truncated)
             u += e.command_bias
-            filtered = u + (filtered - u) * decay
-            flux_before = flux
-            flux = widened(magnetised(fluxes, widths, u, filtered, p), further, u, filtered, p)
-            slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
-            drive = loop(plays, saturated(slow_flux, p), e)
-            after = dead_zone(drive, e.command_deadband)
+            if u != sent or p.valve_hysteresis_model == FULL:   # that depends on the rate, too
+                sent = u
+                filtered = u + (filtered - u) * decay
+                flux_before = flux
+                flux = widened(magnetised(fluxes, widths, u, filtered, p), further, u, filtered, p)
+                slow_flux = magnet[0] * slow_flux + magnet[1] * flux_before + magnet[2] * flux
+                drive = loop(plays, saturated(slow_flux, p), e)
+                after = dead_zone(drive, e.command_deadband)
             lagged_before = lagged
             first_before = first
             first = keep * first + (1.0 - keep) * after

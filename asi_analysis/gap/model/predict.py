@@ -13,7 +13,6 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model import blocks, simulator, static_blocks
 from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
-from asi_analysis.gap.model.servo.identification import SUB_STEP
 from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording, velocity_of
 from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by
@@ -24,6 +23,7 @@ from asi_common.record import copy_of, with_fields
 # Longest sub-steps. Lags are exact for inputs that are linear between samples.
 FORCE_STEP_S = 5e-4
 STEP_S = 2.5e-4           # of the valve, for its delay
+SUB_STEP = 0.02           # of a servo: its natural frequency times the sub-step, rad
 FRICTION_FACTOR = 2       # dry friction and the sensor: so many for each of those of the force
 HYSTERESIS_STEP_S = 2e-4  # of the full hysteresis, whose width depends on the command's rate
 TRAVEL_STEP_S = 1e-4      # of the simulated load: hydraulic damping acts after 0.16 ms

@@ -5,12 +5,13 @@ It is the nominal model if its residual is far smaller than that of a delay with
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
@@ -19,6 +20,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.gap.model.servo.law import OUTPUT, SERVO_DTYPE, moving, servo_lags, servo_step
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
+from asi_analysis.parallel import in_threads
 from asi_common.jit import jit
 
 # Log odds against a servo of second order in place of a delay and a lag. Its limits are accepted
@@ -26,8 +28,9 @@ from asi_common.jit import jit
 AGAINST: Final = 7.0
 LEFT_UNLIMITED: Final = 0.7
 ALMOST: Final = 3.0           # a residual (rms) below this multiple of the noise is model error
-# Natural frequency times sub-step, rad, and the most sub-steps of a sample.
-SUB_STEP: Final = 0.02
+# Natural frequency times sub-step, rad, of a servo with limits, and the most sub-steps of a
+# sample. These are initial guesses: fits have a finer one.
+SUB_STEP: Final = 0.05
 MOST_SUB_STEPS: Final = 64
 # Initial guesses: 1 / natural frequency, in samples; damping ratio, and its bounds.
 TIMES: Final = (1.5, 5.0, 15.0, 50.0, 150.0)
@@ -107,9 +110,22 @@ def _follow(reference, begins, period, steps, pulsation, damping, e, out):
             servo_step(state, reference[k], lag, lags, e)
 
 
+@jit
+def _follow_unlimited(reference, begins, kept, drawn, out):
+    position, rate = begins
+    for k in range(reference.size):
+        out[k] = position
+        position, rate = (kept[0, 0] * position + kept[0, 1] * rate + drawn[0] * reference[k],
+                          kept[1, 0] * position + kept[1, 1] * rate + drawn[1] * reference[k])
+
+
 def follow(servo: Servo, reference: Array, start: float, period: float, rate: float = 0.0
            ) -> Array:
-    """Return the response of a servo at `start` to a reference held for a period (s)."""
+    """
+    Return the response of a servo at `start` to a reference held for a period (s).
+
+    Exact, if the servo has no limits.
+    """
     time = period * np.arange(reference.size)
     late = np.interp(time - servo.delay, time, reference) if servo.delay else reference
     for time_constant in (servo.split * servo.lag, (1.0 - servo.split) * servo.lag):
@@ -117,10 +133,18 @@ def follow(servo: Servo, reference: Array, start: float, period: float, rate: fl
             continue
         keep = math.exp(-period / time_constant)
         late = lfilter([1.0 - keep], [1.0, -keep], late, zi=[keep * start])[0]
+    late, out = np.ascontiguousarray(late), np.empty(reference.size)
+    stiffness = servo.pulsation ** 2
+    if not servo.limited:
+        moves = expm(period * np.array([
+            [0.0, 1.0, 0.0], [-stiffness, -2.0 * servo.damping * servo.pulsation, stiffness],
+            [0.0, 0.0, 0.0]]))
+        _follow_unlimited(late, (start, rate), moves[:2, :2].copy(), moves[:2, 2].copy(), out)
+        return out
     steps = min(max(math.ceil(period * servo.pulsation / SUB_STEP), 1), MOST_SUB_STEPS)
-    out, limits = np.empty_like(reference), np.zeros(1, SERVO_DTYPE)[0]
+    limits = np.zeros(1, SERVO_DTYPE)[0]
     limits['servo_rate'], limits['servo_acceleration'] = servo.rate, servo.acceleration
-    _follow(np.ascontiguousarray(late), (start, rate), period, steps, servo.pulsation,
+    _follow(late, (start, rate), period, steps, servo.pulsation,
             servo.damping, limits, out)
     return out
 
@@ -170,6 +194,13 @@ def _fitted(start: Servo, free: Sequence[str], recordings: Sequence[Recording]) 
     return servo(found.x)
 
 
+def _best_fitted(starts: Iterable[Servo], free: Sequence[str], recordings: Sequence[Recording]
+                 ) -> Servo:
+    """Return the best fit from several initial guesses."""
+    return min(in_threads(lambda start: _fitted(start, free, recordings), starts),
+               key=partial(_power, recordings=recordings, part='fit'))
+
+
 def _power(servo: Servo, recordings: Sequence[Recording], part: str = 'held_out') -> float:
     """Return the mean square residual of a servo."""
     return float(np.mean(left_of(servo, recordings, part) ** 2))
@@ -183,7 +214,7 @@ def _best(recordings: Sequence[Recording], damping: float, free: Sequence[str]) 
     starts = [min((Servo(faster / (each * period), damping, delay=late * period)
                    for each in TIMES for late in lates), key=power)
               for lates in ((0.0,), (4.0, 20.0))]
-    return min((_fitted(each, free, recordings) for each in starts), key=power)
+    return _best_fitted(starts, free, recordings)
 
 
 def slow_servo(recordings: Sequence[Recording]) -> Servo:
@@ -233,9 +264,11 @@ def servo_of(recordings: Sequence[Recording], slow: Servo) -> list[Servo]:
     one_pole = _lagging(delayed, recordings)
     two_poles = _lagging(delayed, recordings, one_pole)
     found = sorted((delayed, one_pole, two_poles), key=power)
-    limited = _without_idle_limits(_limited(delayed, recordings), recordings)
-    if power(limited) < LEFT_UNLIMITED * power(found[0]):
-        found = [limited]
+    noise = max(r.noise['valve_position'] for r in recordings)
+    if LEFT_UNLIMITED * power(found[0]) > noise ** 2:   # else there is nothing to explain
+        limited = _without_idle_limits(_limited(delayed, recordings), recordings)
+        if power(limited) < LEFT_UNLIMITED * power(found[0]):
+            found = [limited]
     residual = left_of(found[0], recordings, 'held_out')
     ratio = simple / (float(np.mean(residual ** 2)) + 1e-300)
     gain = 0.5 * independent(residual, np.ones_like(residual)) * math.log(max(ratio, 1e-300))
@@ -258,7 +291,7 @@ def _limited(delayed: Servo, recordings: Sequence[Recording]) -> Servo:
                          damping=damping, acceleration=rise * delayed.pulsation * speed)
         for faster in FASTER for damping in (delayed.damping, DAMPING)
         for rate in RATES for rise in RISES), key=power)[:FOLLOWED]
-    best = min((_fitted(each, (*LIMITED, 'delay'), recordings) for each in starts), key=power)
+    best = _best_fitted(starts, (*LIMITED, 'delay'), recordings)
     if period * delayed.pulsation < COARSE:
         return best
     start = delayed._replace(pulsation=2.0 * delayed.pulsation, rate=0.7 * speed,
@@ -299,12 +332,12 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
     if one_pole:
         starts.append(one_pole._replace(split=LEAST_SPLIT))
     free = ('pulsation', 'damping', 'lag', *['split'] * bool(split))
-    return min((_fitted(each, free, recordings) for each in starts), key=power)
+    return _best_fitted(starts, free, recordings)
 
 
 def offset_of(recording: Recording) -> float:
     """Return by how much a servo's output is above its reference in the mean."""
-    return float(np.mean((recording.output - recording.input)[recording.valid]))
+    return float(np.mean((recording.output - recording.input)[recording.known]))
 
 
 def begins_moving(recording: Recording) -> bool:
@@ -341,7 +374,7 @@ def thinned(recordings: Sequence[Recording], most: int = MOST_SAMPLES) -> list[R
     every = math.ceil(sum(r.fit.size for r in recordings) / most)
     return [replace(r, period_s=every * r.period_s, command=r.input[::every],
                     valve_position=r.output[::every], fit=r.fit[::every],
-                    held_out=r.held_out[::every]) for r in recordings]
+                    held_out=r.held_out[::every], report=r.report[::every]) for r in recordings]
 
 
 def response_of(servo: Servo, recording: Recording) -> Array:

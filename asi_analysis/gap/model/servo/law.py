@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from asi_actuator.model.linear_lag import first_order_or_none, second_order, second_order_step
-from asi_common.jit import jit
+from asi_common.jit import inlined, jit
 
 # Position and rate of the drive, its output, position and rate of the load, force taken over.
 STATES = 6
@@ -62,7 +62,7 @@ def servo_lags(e, h):
             math.exp(-e.servo_integral * h))
 
 
-@jit
+@inlined
 def servo_step(state, drawn, lag, lags, e):
     """
     Return the position (m) of a servo's load after a sub-step; updates its STATES.
@@ -82,7 +82,7 @@ def servo_step(state, drawn, lag, lags, e):
     return state[LOAD]
 
 
-@jit
+@inlined
 def drive_step(state, drawn, lag, e):
     """
     Move the drive of a servo for a sub-step; return its dry friction, as a position (m).
@@ -92,6 +92,9 @@ def drive_step(state, drawn, lag, e):
     loop pulls, m.
     """
     position, rate = state[POSITION], state[RATE]
+    if e.servo_friction + e.servo_acceleration + e.servo_rate == 0.0:
+        state[POSITION], state[RATE] = second_order_step(position, rate, drawn, lag)
+        return 0.0
     most = 2.0 * lag.half_step * e.servo_acceleration
     stiff = 2.0 * lag.pull / (1.0 + lag.keep)   # of the loop: its rise of the rate, 1/s
     friction = rub(pushed(0.0, drawn - position, most / stiff), rate, e)
@@ -115,13 +118,13 @@ def drive_step(state, drawn, lag, e):
     return friction
 
 
-@jit
+@inlined
 def pushed(rate, after, most):
     """Return the rate after a sub-step, that changes by at most `most`; 0: no limit."""
     return min(max(after, rate - most), rate + most) if most > 0.0 else after
 
 
-@jit
+@inlined
 def rub(pull, rate, e):
     """Return the dry friction of a servo (m): at rest what holds, up to breakaway (Karnopp)."""
     if e.servo_friction == 0.0:
