@@ -42,7 +42,7 @@ def run(
     load: Annotated[str | None, typer.Option(help='locked, spring, free or prescribed')] = None,
     duration: Annotated[float, typer.Option(help='Length of the run, s')] = 1.0,
     mode: Annotated[str, typer.Option(
-        help='lockstep: repeatable, however slow the machine; realtime: by the wall clock')
+        help='lockstep: reproducible on any machine; realtime: on the wall clock')
     ] = 'lockstep',
     rate: Annotated[float, typer.Option(
         help='Control rate, Hz; 0: 5000 in lock-step, 1000 in real time')] = 0.0,
@@ -52,15 +52,16 @@ def run(
     controller: ParameterFile = None,
     set_: Settings = None,
     plant: Annotated[Literal['actuator', 'joint'], typer.Option(
-        help='joint: any joint or drive in place of the actuator, with parameters of its own; the '
-        'command is the reference, N, Nm or, of a servo, m or rad')] = 'actuator',
+        help='joint: a joint or drive with its own parameters, in place of the actuator; its '
+        'command is the reference (N, Nm; for a servo m or rad)')] = 'actuator',
     out: Annotated[Path | None, typer.Option(
         help='Directory DIR; the bag is DIR/bag; default: runs/TIME-COMPENSATOR')] = None,
     in_process: Annotated[bool, typer.Option(
-        '--in-process', help='Compute it in one process, without ROS: the same bag, sooner')
+        '--in-process', help='Simulate in one process, without ROS: the same bag, faster')
     ] = False,
     experiment: Annotated[Literal['isolation'] | None, typer.Option(
-        help='isolation: two runs that show whether a limit cycle is isolated')] = None,
+        help='isolation: two runs, from inside and outside, that show whether a limit cycle is '
+        'isolated')] = None,
     as_json: Json = False,
 ) -> None:
     """
@@ -68,7 +69,7 @@ def run(
 
     With --in-process the nodes are not started, and the bag is the same byte for byte.
 
-    Order of precedence, lowest first: parameter files, --set, the other options.
+    Later ones override earlier ones: parameter files, --set, the other options.
     """
     from asi_analysis.experiments import experiment as ex
     from asi_analysis.experiments import running
@@ -110,7 +111,7 @@ def run(
 def analyze(
     bag: Bag,
     signal: Annotated[str | None, typer.Option(
-        help='Signal to measure, as position; default: the one that the reference controls')
+        help='Signal to measure, for example position; default: the controlled one')
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -127,13 +128,14 @@ def analyze(
 def import_(
     files: Annotated[list[Path], typer.Argument(
         help='A table (.csv, .txt, .json, .mat, .npz, .parquet and others), the folder of a '
-             'LeRobot dataset, a rosbag2 or ROS 1 .bag; or several tables, each with its time, '
-             'of which the first gives the samples')],
+             'LeRobot dataset, a rosbag2 or ROS 1 .bag. Of several tables, each with its time, '
+             'the first gives the samples; values of the others are held')],
     out: Annotated[Path | None, typer.Option(
         help='The bag to write; without it and without --map: a preview')] = None,
     map_: Annotated[list[str] | None, typer.Option(
         '--map', metavar='SIGNAL=COLUMN[*SCALE][+OFFSET][UNIT]',
-        help='Signal of a column; once for each signal; none for a file of `asi export`')] = None,
+        help='Which column holds a signal; repeat for each signal; not needed for a file of '
+        '`asi export`')] = None,
     rate: Annotated[float | None, typer.Option(
         help='Sampling rate, Hz, if no column is the time')] = None,
     skip_lines: Annotated[int, typer.Option(help='Lines before the header', min=0, max=10**9)] = 0,
@@ -144,13 +146,13 @@ def import_(
     zero: Annotated[float, typer.Option(
         help='Subtract from each signal its mean over this time from the start, s')] = 0.0,
     episode: Annotated[int | None, typer.Option(
-        help='Of a LeRobot dataset; needed if it has several', min=0, max=10**9)] = None,
+        help='Episode of a LeRobot dataset; needed if it has several', min=0, max=10**9)] = None,
     as_json: Json = False,
 ) -> None:
     """
-    Convert a recording of another system to a bag, for every analysis.
+    Convert a recording of another system to a bag.
 
-    `asi import FILE` alone previews it: columns, units, rate, gaps, and a command to copy.
+    `asi import FILE` alone shows a preview: columns, units, rate, gaps, and a command to copy.
     Signals: time, reference, command, force, valve_position, position, velocity. A column of a
     rosbag2 is TOPIC/FIELD, or TOPIC/JOINT/FIELD. With {joint} in a column each joint that has it
     becomes a bag in the folder of --out. More in doc/how_to/importing.md.
@@ -186,9 +188,9 @@ def split(
     as_json: Json = False,
 ) -> None:
     """
-    Divide a recording across restarts or pauses of the actuator: a bag of each part.
+    Divide a recording with restarts or pauses of the actuator into a bag for each part.
 
-    A part ends where the stamps go back, or where none comes for a second.
+    A part ends where the time stamps go back, or pause for a second.
     """
     from asi_analysis.bags.exchange.summary import Split
     from asi_analysis.bags.splitting import split_bag
@@ -204,7 +206,7 @@ def export(
     out: Annotated[Path, typer.Option(help='The .csv or .parquet file to write')],
     as_json: Json = False,
 ) -> None:
-    """Write a bag's signals as a table: CSV or Parquet, with the units in the names."""
+    """Write the signals of a bag as a CSV or Parquet table, with units in the column names."""
     from asi_analysis.bags.bag import read_bag
     from asi_analysis.bags.exchange.exporting import export as write_table
     from asi_analysis.bags.exchange.summary import Exported

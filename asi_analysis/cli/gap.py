@@ -33,10 +33,10 @@ class GapCommands(typer.core.TyperGroup):
         return super().parse_args(ctx, args)
 
 
-gap_app = typer.Typer(cls=GapCommands, help='The sim-to-real gap: where, which effect, how '
-                      'far it shrinks, what to record next.\n\n`asi gap BAG...` diagnoses '
-                      'recordings; its options: `asi gap of --help`.\n\n'
-                      '`asi gap --plan MODEL` says what to record; its options: `asi gap plan '
+gap_app = typer.Typer(cls=GapCommands, help='Find where and why recordings differ from their '
+                      'model (the sim-to-real gap).\n\n'
+                      '`asi gap BAG...` diagnoses recordings; options: `asi gap of --help`.\n\n'
+                      '`asi gap --plan MODEL` plans what to record; options: `asi gap plan '
                       '--help`.', no_args_is_help=True,
                       context_settings=HELP)
 app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --model m.yaml`')
@@ -47,26 +47,27 @@ app.add_typer(gap_app, name='gap', epilog='Example: `asi gap real_1 real_2 --mod
 def gap(
     bags: Annotated[list[Path], typer.Argument(help='Recordings of the real machine')],
     plan: Annotated[Path | None, typer.Option(
-        metavar='MODEL', help='Without recordings: what to record; its options: `asi gap plan '
-        '--help`')] = None,
+        metavar='MODEL', help='Plan what to record, without recordings; options: `asi gap '
+        'plan --help`')] = None,
     model: Annotated[Path | None, typer.Option(
         help='Nominal parameters: a ROS parameter file; default: those in the bag')] = None,
     set_: Annotated[list[str] | None, typer.Option(
-        '--set', metavar='NAME=VALUE', help='One nominal parameter; may be repeated')] = None,
+        '--set', metavar='NAME=VALUE', help='A nominal parameter, for example load.mass=0.6; '
+        'may be repeated')] = None,
     plant: Annotated[Literal['actuator', 'joint', 'static'], typer.Option(
         help='actuator: the hydraulic one; joint: any rigid joint or drive; static: a measured '
         'characteristic, any input to any output')] = 'actuator',
     input_: Annotated[str | None, typer.Option(
-        '--input', metavar='SIGNAL', help='Of a static characteristic; default: the command')
+        '--input', metavar='SIGNAL', help='Input of a static characteristic; default: the command')
     ] = None,
     output: Annotated[str | None, typer.Option(
-        metavar='SIGNAL', help='Of a static characteristic; default: pressure, force, ...')
+        metavar='SIGNAL', help='Output of a static characteristic; default: pressure, force, ...')
     ] = None,
     held_out: Annotated[list[Path] | None, typer.Option(
-        help='A recording of the validation set, not fitted; may be repeated')] = None,
+        help='A recording for validation, which is not fitted; may be repeated')] = None,
     baseline: Annotated[list[Path] | None, typer.Option(
-        help='A recording of the same machine when it was healthy: the answer is what has changed '
-        'since; may be repeated')] = None,
+        help='A recording of the same machine when it was healthy; the answer is what has '
+        'changed since; may be repeated')] = None,
     tolerance: Annotated[list[str] | None, typer.Option(
         metavar='SHARE|NAME=SHARE', help='Tolerance of the nominal parameters, as a share '
         '(default: 0.2), or of one, such as load.mass=0.5; may be repeated')] = None,
@@ -76,20 +77,21 @@ def gap(
         callback=directory,
         help='Directory for an HTML report and the improved model file')] = None,
     export: Annotated[list[Path] | None, typer.Option(
-        metavar='FILE|DIR', help='What was found, for a simulator: of a joint .xml (MJCF of '
-        'MuJoCo), .urdf or .isaac.yaml (Isaac Lab); .yaml: for our nodes and --model. With '
-        '--joint all, all joints in it; {joint} in its name, or a directory: one of each. May be '
-        'repeated')] = None,
+        metavar='FILE|DIR', help='Write the identified model: a joint as .xml (MJCF of MuJoCo), '
+        '.urdf or .isaac.yaml (Isaac Lab); .yaml for our nodes and for --model. With --joint all '
+        'one file holds all joints; {joint} in its name, or a directory, makes one for each. May '
+        'be repeated')] = None,
     joint: Annotated[str | None, typer.Option(
-        metavar='NAME|all', help='Of a bag with joint states, or a folder with a bag for each '
-        'joint (asi import with {joint}): this one, or all in one table')] = None,
+        metavar='NAME|all', help='Joint of a bag with joint states, or of a folder with a bag '
+        'for each joint (asi import with {joint}); all: each joint, in one table')] = None,
     jobs: Jobs = 2,
     as_json: Json = False,
 ) -> None:
     """
     Find where and why recordings differ from the simulator, and how far the gap shrinks.
 
-    What has changed in a machine: `asi gap today --baseline healthy_1 --baseline healthy_2`.
+    What has changed since healthy recordings: `asi gap today --baseline healthy_1 --baseline
+    healthy_2`.
     All joints of a robot: `asi gap robot --plant joint --joint all --jobs 4`.
     """
     from asi_analysis.bags.bag import read_bag
@@ -149,20 +151,20 @@ def gap_plan(
         help='Nominal parameters of the joint, as --model of asi gap takes them; limit.position '
         'and others of asi_gap may be in it')],
     limit: Annotated[list[str] | None, typer.Option(
-        metavar='SIGNAL=VALUE[UNIT]', help='What the joint may do: position=LOW:HIGH[deg], '
+        metavar='SIGNAL=VALUE[UNIT]', help='Limits of the joint: position=LOW:HIGH[deg], '
         'velocity=90[deg/s], command=5[Nm]; may be repeated')] = None,
     sensors: Annotated[str, typer.Option(
         help='Signals that can be recorded, separated by commas: command (of a torque or force), '
         'force, position, velocity; or reference,position of a servo')] = 'command,position',
     noise: Annotated[list[str] | None, typer.Option(
-        metavar='SIGNAL=VALUE[UNIT]', help='Standard deviation of what is recorded, as '
+        metavar='SIGNAL=VALUE[UNIT]', help='Noise of a signal (standard deviation), for example '
         'position=0.01[deg]; may be repeated')] = None,
     rate: Annotated[float, typer.Option(
         help='Sampling rate of the recording and of the reference, Hz, 50 to 1000')] = 250.0,
     tolerance: Annotated[float, typer.Option(
         help='Tolerance of the nominal parameters, as a share')] = 0.2,
     plant: Annotated[Literal['actuator', 'joint'], typer.Option(
-        help='Only of a joint')] = 'joint',
+        help='A plan is for a joint only')] = 'joint',
     out: Annotated[Path | None, typer.Option(
         callback=new_file, metavar='FILE.csv', help='The reference to play: time, position')
     ] = None,
@@ -172,10 +174,10 @@ def gap_plan(
     as_json: Json = False,
 ) -> None:
     """
-    Plan what to record of a joint, so that its usual suspects are told apart: before recording.
+    Plan a reference motion whose recording can tell the usual effects of a joint apart.
 
-    Friction, backlash, compliance, delay, lag, gravity, a spring or a wrong inertia: which courses
-    separate them, how often, with which sensors, within the limits of the joint. The same as
+    The effects are friction, backlash, compliance, delay, lag, gravity, a spring and a wrong
+    inertia. The plan says how often each is found, with the given sensors and limits. The same as
     `asi gap --plan MODEL`.
     """
     from asi_analysis.gap.answer.command import parse_tolerances
@@ -203,10 +205,10 @@ def gap_check(
         help='First seed of the new cases; below 10000: used in development')] = 20000,
     world: Annotated[Literal[
         'textbook', 'full', 'foreign', 'own', 'joint', 'mixed', 'static'], typer.Option(
-        help='Nominal model of new cases; textbook: every effect off; foreign: other machines, '
-             'courses and noise, small effects everywhere; own: the simulator itself, one '
-             'parameter changed, any load, 1 to 5 kHz; joint: arms, axes and servos; mixed: the '
-             'same, an effect beside something that has no name; static: characteristics')
+        help='Kind of new cases. textbook: linear nominal model; full: the nominal model of '
+             'the paper; foreign: other machines, excitations and noise; own: the simulator with '
+             'one parameter or effect changed; joint: arms, axes and servos; mixed: joints with '
+             'an effect and something outside the vocabulary; static: characteristics')
     ] = 'textbook',
     load: Annotated[Literal['spring', 'locked'], typer.Option(
         help='Load of new cases')] = 'spring',

@@ -36,11 +36,11 @@ def limit_cycle(
     bags: Annotated[list[Path], typer.Argument(
         help='Bags of the same loop, analysed together')],
     signal: Annotated[str | None, typer.Option(
-        help='Signal to analyse, as position or pressure; default: the one that the reference '
-             'controls, or else the force')] = None,
+        help='Signal to analyse, for example position; default: the controlled one, or else '
+             'the force')] = None,
     undriven: Annotated[bool, typer.Option(
-        '--undriven', help='Nothing drove the recording from outside: no load, and no reference '
-                           'that it does not hold')
+        '--undriven', help='State that nothing drove the loop from outside: no periodic load, no '
+                           'reference that is not in the recording')
     ] = False,
     report: Report = None,
     as_json: Json = False,
@@ -63,7 +63,7 @@ def predict(
         help='Start of the search for a cycle: a gain below the onset')] = 5.0,
     step: Held = 100.0,
     steps: Annotated[str, typer.Option(
-        help='Steps (N, separated by commas) for which the onset is computed too: Fig. 7')] = '',
+        help='Steps (N, separated by commas) for the onset over the step size, Fig. 7')] = '',
     rate: Rate = 5000.0,
     set_: Settings = None,
     report: Report = None,
@@ -72,8 +72,8 @@ def predict(
     """
     Predict the limit cycles of a loop from its model, and compare with simulation.
 
-    By the describing function of the hysteresis alone, as the paper, and by harmonic balance of
-    all nonlinearities, with the sampling of the controller.
+    Two methods: the describing function of the hysteresis alone, as in the paper, and harmonic
+    balance of all nonlinearities with the sampled controller.
     """
     sizes = numbers('--steps', steps)
     from asi_analysis.limit_cycle.prediction.predict import predict_cycles
@@ -100,8 +100,9 @@ def attribute(
     """
     Find the nonlinearity that causes a limit cycle.
 
-    In the model: with each one alone, and with all others. In a bag of any loop: by the shapes of
-    command and output; a bag of this actuator is also compared with its model.
+    Without a bag: in the model, with each nonlinearity alone and with all but it. With a bag of
+    any loop: by the shapes of command and output. A bag of this actuator is also compared with
+    its model.
     """
     # Of what is analysed the parameters are known: an option would have no effect.
     without_effect = {'--signal': signal is not None} if bag is None else {
@@ -128,7 +129,7 @@ def quench(
     gain: Gain = None,
     controller: ParameterFile = None,
     step: Annotated[float, typer.Option(
-        callback=checked_step, help='Force at which dither is tried, N')] = 100.0,
+        callback=checked_step, help='Force step of the loop on which dither is tried, N')] = 100.0,
     conditions: Annotated[int, typer.Option(
         help='Number of conditions that the search for an oscillation tries', min=1)] = 200,
     rates: Annotated[str, typer.Option(
@@ -145,7 +146,7 @@ def quench(
     as_json: Json = False,
 ) -> None:
     """
-    Measure the margin of a compensator to a limit cycle, and search conditions that cause one.
+    Compute the margin to a limit cycle, and search for conditions in which the loop oscillates.
 
     Exit status 1 if a sustained oscillation was found.
     """

@@ -58,11 +58,11 @@ def checked_step(step_n: float | None) -> float | None:
 Report = Annotated[Path | None, typer.Option(
     callback=directory, help='Directory for an HTML report and its pictures as PNG')]
 Bag = Annotated[Path, typer.Argument(help='A bag: its directory or its .mcap file')]
-ParameterFile = Annotated[Path | None, typer.Option(help='ROS parameter file (YAML)')]
+ParameterFile = Annotated[Path | None, typer.Option(help='ROS parameter file (YAML) of the node')]
 Settings = Annotated[list[str] | None, typer.Option(
     '--set', metavar='NODE.NAME=VALUE',
-    help='Any other parameter, as actuator.load.mass=0.3; may be repeated')]
-Compensator = Annotated[str | None, typer.Option(help=', '.join(COMPENSATORS))]
+    help='Any other parameter, for example actuator.load.mass=0.3; may be repeated')]
+Compensator = Annotated[str | None, typer.Option(help=f'Compensator: {", ".join(COMPENSATORS)}')]
 Gain = Annotated[float | None, typer.Option(help='Gain of the compensator; 0: its default')]
 Held = Annotated[float, typer.Option(
     callback=checked_step, help='Force reference of the loop, N')]
@@ -72,7 +72,7 @@ MOST_SEED = 10**9
 Jobs = Annotated[int, typer.Option(
     '--jobs', min=1, max=256, help='Number of processes; the result does not depend on it')]
 Dask = Annotated[str | None, typer.Option(
-    '--dask', metavar='ADDRESS', help='Scheduler of a Dask cluster to use instead')]
+    '--dask', metavar='ADDRESS', help='Scheduler of a Dask cluster, in place of local processes')]
 
 
 def command(name: str, example: str, of: typer.Typer = app

@@ -23,10 +23,10 @@ from asi_analysis.terminal import bar
 def demo(
     out: Annotated[Path, typer.Option(
         callback=directory,
-        help='Directory of the report; an earlier demo there is replaced')] = Path('runs/demo'),
+        help='Directory of report.html; an earlier demo there is replaced')] = Path('runs/demo'),
     as_json: Json = False,
 ) -> None:
-    """Run the paper's experiments over ROS, find a withheld effect; report: OUT/report.html."""
+    """Run the experiments of the paper over ROS, diagnose a withheld effect, write a report."""
     from asi_analysis.demo.demo import run_demo
     with bar() as progress:
         result = run_demo(out, progress)
@@ -47,9 +47,9 @@ def reproduce(
     as_json: Json = False,
 ) -> None:
     """
-    Measure every published fact on the simulator, and compare with the paper's value.
+    Measure every published fact on the simulator and compare it with the paper.
 
-    The exit status is 0 whether all are met or not.
+    The exit status is 0 even if some are not met.
     """
     from asi_analysis.experiments.experiment import read_parameters
     from asi_analysis.paper.reproduction.answer import reproduce_paper
@@ -101,7 +101,7 @@ def calibrate(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Fit the model's free parameters to the facts that the paper publishes."""
+    """Fit the free parameters of the model to the published facts."""
     from asi_analysis.parallel import workers
     result: Any
     with workers(jobs, dask), bar() as progress:
@@ -134,7 +134,7 @@ def ensemble(
     dask: Dask = None,
     as_json: Json = False,
 ) -> None:
-    """Find parameter sets near the defaults that meet the paper's facts about equally well."""
+    """Find other parameter sets that meet the published facts equally well."""
     from asi_analysis.paper.calibration.ensemble import run as run_ensemble
     from asi_analysis.parallel import workers
     with workers(jobs, dask), bar() as progress:

@@ -32,15 +32,15 @@ from asi_analysis.terminal import bar
 def tune(
     actuator: ParameterFile = None,
     controller: Annotated[Path | None, typer.Option(
-        help='ROS parameter file of the controller with which the search begins')] = None,
+        help='ROS parameter file of the controller from which the search starts')] = None,
     prefer: Annotated[str, typer.Option(
         help='What counts most: balanced, stiff, transparent or quiet')] = 'balanced',
     evaluations: Annotated[int, typer.Option(
-        help='Settings of the controller that are tried; 0: only those of the start', min=0)
+        help='Number of settings to try; 0: only check those of the start', min=0)
         ] = 480,
     conditions: Annotated[int, typer.Option(
-        help='Conditions of the attack on what is found', min=1)] = 300,
-    seed: Annotated[int, typer.Option(help='Seed of search and attack', min=0, max=MOST_SEED)] = 1,
+        help='Conditions of the final search for an oscillation (`asi quench`)', min=1)] = 300,
+    seed: Annotated[int, typer.Option(help='Seed of both searches', min=0, max=MOST_SEED)] = 1,
     rate: Rate = 5000.0,
     out: Annotated[Path | None, typer.Option(
         callback=directory, help='Directory for controller.yaml')] = None,
@@ -48,9 +48,10 @@ def tune(
     as_json: Json = False,
 ) -> None:
     """
-    Search the settings of the controller for an actuator, with the attack of `asi quench` inside.
+    Search the settings of the controller for an actuator.
 
-    Exit status 1 if the attack finds a sustained oscillation in the end.
+    The cost includes a search for oscillations (`asi quench`). Exit status 1 if a final such
+    search finds a sustained one.
     """
     from asi_analysis.experiments.experiment import read_parameters
     from asi_analysis.tuning.answer import tune_controller
@@ -67,23 +68,23 @@ def tune(
 @command('compare', 'asi compare lead4 config/quiet.yaml --report runs/compare')
 def compare(
     what: Annotated[list[str], typer.Argument(
-        help='Compensators by name, parameter files of controllers (.yaml), and bags')],
+        help='Compensators by name, controller parameter files (.yaml) and bags')],
     actuator: ParameterFile = None,
     set_: Settings = None,
     rates: Annotated[str, typer.Option(
-        help='Control rates, Hz; noise, plants and springs are at the first')] = '5000,2000,1000',
+        help='Control rates, Hz; noise, plants and springs use the first')] = '5000,2000,1000',
     springs: Annotated[str, typer.Option(
-        help="Springs as load, N/m, and a free load; '': none")] = '1e4,1e5,1e6',
+        help="Spring loads, N/m; a free load is added; '': none")] = '1e4,1e5,1e6',
     plants: Annotated[int, typer.Option(
-        help='Actuators with errors of up to 20 %', min=0, max=10_000)] = 12,
+        help='Number of actuators with parameter errors of up to 20 %', min=0, max=10_000)] = 12,
     noise: Annotated[float, typer.Option(
         help='Noise of the force sensor, N rms; 0: none', min=0.0, max=1e4)] = 1.0,
     conditions: Annotated[int, typer.Option(
-        help='Conditions of the attack of `asi quench`; 0: none', min=0)] = 300,
+        help='Conditions of the search for an oscillation (`asi quench`); 0: none', min=0)] = 300,
     seed: Annotated[int, typer.Option(
-        help='Seed of plants and attack', min=0, max=MOST_SEED)] = 1,
+        help='Seed of the plants and of that search', min=0, max=MOST_SEED)] = 1,
     gains: Annotated[str, typer.Option(
-        help='Factors of gain and integrator at which the impedance is taken, for the Z-width: '
+        help='Factors on gain and integrator for the impedance and its range, the Z-width: '
              "0.5,1,1.5; '': none")] = '',
     markdown: Annotated[Path | None, typer.Option(
         callback=new_file, help='File for the tables as Markdown')] = None,
@@ -91,9 +92,9 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """
-    Compare controllers, simulated in many conditions, and recordings.
+    Compare controllers in many simulated conditions, and with recordings.
 
-    Steps of 20 to 700 N, sines, and a moved piston: the figures of `asi tune`, on all cores.
+    Steps of 20 to 700 N, sines and a moved piston; the figures are those of `asi tune`.
     """
     from asi_analysis.experiments.experiment import gather
     from asi_analysis.tuning.compare import compare_controllers, read_compared
@@ -115,7 +116,7 @@ def compare(
 def sweep(
     over: Annotated[list[str], typer.Option(
         '--over', metavar='NODE.NAME=VALUES',
-        help='Values of a parameter, A,B,C or START:STOP:COUNT; may be repeated, for a grid')],
+        help='Values of a parameter: A,B,C or START:STOP:COUNT; may be repeated, for a grid')],
     compensator: Compensator = None,
     gain: Gain = None,
     step: Annotated[float, typer.Option(
@@ -129,15 +130,15 @@ def sweep(
     csv: Annotated[Path | None, typer.Option(
         callback=new_file, help='CSV file to write the table to')] = None,
     bags: Annotated[Path | None, typer.Option(
-        callback=directory, help='Directory for a bag of each run, that of `asi run`')] = None,
+        callback=directory, help='Directory for a bag of each run, as of `asi run`')] = None,
     jobs: Jobs = 1,
     dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """
-    Compute the step figures of a grid of parameters, without ROS.
+    Measure the step response over a grid of parameters, without ROS.
 
-    The loops are computed on all cores; with --jobs the measuring and writing too.
+    Loops are simulated on all cores; --jobs distributes the analysis and writing too.
     """
     from asi_analysis.experiments.experiment import gather
     from asi_analysis.loop.sweep import grid

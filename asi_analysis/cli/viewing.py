@@ -17,13 +17,13 @@ def live(
     simulate: Annotated[bool, typer.Option(
         '--simulate', help='Start a simulated actuator and a controller too')] = False,
     port: Annotated[int, typer.Option(help='Port of 127.0.0.1', min=1, max=65535)] = 8080,
-    namespace: Annotated[str, typer.Option(help='Namespace of the loop, as /left')] = '',
+    namespace: Annotated[str, typer.Option(help='Namespace of the loop, for example /left')] = '',
     browser: Annotated[bool, typer.Option(help='Open the page in the browser')] = True,
 ) -> None:
     """
-    Show the running loop in the browser: signals, every parameter, recording, questions.
+    Show the running loop in the browser: signals, parameters, recording, analysis.
 
-    It hears the nodes of ROS_DOMAIN_ID, and ends with Ctrl-C.
+    It connects to the nodes of ROS_DOMAIN_ID and ends with Ctrl-C.
     """
     try:
         import nicegui  # noqa: F401

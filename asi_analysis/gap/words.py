@@ -50,17 +50,19 @@ SIZES: Final = {
     'supply_sag': 'share lost with the valve open', 'leakage_linear': 'share lost',
     'leakage_quadratic': 'share lost at the largest force', 'air_time': 'time at no force',
     'friction_level': 'sliding friction', 'friction_asymmetry': 'asymmetry',
-    'friction_breakaway': 'share more to break away', 'viscous': 'damping',
+    'friction_breakaway': 'breakaway over sliding friction, less one', 'viscous': 'damping',
     'viscous_asymmetry': 'asymmetry of the viscous friction', 'backlash': 'half width of the gap',
     'compliance': 'compliance', 'disturbance': 'constant', 'disturbance_wave': 'wave',
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',
     'disturbance_start': 'from', 'disturbance_end': 'to', 'sensor_offset': 'offset',
-    'sensor_gain_error': 'share too much', 'sensor_lag': 'time', 'sensor_drift': 'drift',
-    'drive_loss': 'share of the force lost', 'position_gain_error': 'share too much',
+    'sensor_gain_error': 'relative error of the gain', 'sensor_lag': 'time',
+    'sensor_drift': 'drift',
+    'drive_loss': 'share of the force lost', 'position_gain_error': 'relative error of the gain',
     'drive_delay': 'delay', 'drive_lag': 'time',
     'servo_friction': 'sliding friction over the stiffness of the loop',
-    'servo_breakaway': 'share more to break away', 'servo_load_frequency': 'natural frequency',
-    'gravity_sine': 'more of sin q', 'gravity_cosine': 'more of cos q',
+    'servo_breakaway': 'breakaway over sliding friction, less one',
+    'servo_load_frequency': 'natural frequency',
+    'gravity_sine': 'sin q term', 'gravity_cosine': 'cos q term',
     'deadband_centre': 'centre',
     'deadband_slope': 'share of the gain within',
     'gain_asymmetry': 'half of the difference over the mean gain',
@@ -221,7 +223,7 @@ def sentences(answer: Mapping[str, Any]) -> list[str]:
                    f'{limits}. If the real value lies beyond it, '
                    'the answer may be wrong.',
         f'It could also be {"; or ".join(rest)}.' if rest else
-        answer['verdict'] != NO_GAP and 'Nothing else explains it nearly as well.',
+        answer['verdict'] != NO_GAP and 'No other explanation is nearly as probable.',
         following and f'What next: {following["advice"]}.') if each]
 
 

@@ -249,7 +249,7 @@ def _measure(time: Array, reference: Array, output: Array, jump_: _Jump, words: 
     assert ten is not None and ninety is not None  # the mean of the end is 1
     shape = _shape(t, share, ten, ninety)
     if shape != 'monotone':
-        notes.append(f'the rise from 10 to 90 % is no single rise but a {shape}: '
+        notes.append(f'the rise from 10 to 90 % has a {shape} and is not a single rise: '
                      'the rise time is not meaningful')
     settled = []
     for band in (0.02, 0.05):

@@ -43,7 +43,7 @@ class Tuning(Result):
     def parts(self) -> Iterator[str | Table]:
         yield table_of(self['rows'], {
             'figure': '{text}', 'before': '{before:.3g}', 'found': '{value:.3g}',
-            'to reach': '{goal:.3g}', '': '{unit}', 'reached': '{met}'},
+            'target': '{goal:.3g}', '': '{unit}', 'reached': '{met}'},
             f'{self.prefer}, at {self.rate_hz:g} Hz, after {self.evaluations} settings tried')
         yield table_of(self.margins, {
             'moved at m/s': '{velocity_m_s:g}', 'gain margin': '{gain:.2f}',

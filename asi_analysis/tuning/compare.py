@@ -41,7 +41,7 @@ RECORDED: Final = (
     ('steady_state_error_n', 'steady-state error', '', 1.0),
     ('bandwidth_hz', 'bandwidth', 'Hz', 1.0),
     ('tracking_error_percent', 'tracking error, rms', '%', 1.0),
-    ('tracking_error_peak_n', 'largest error; of a moved piston the felt force', '', 1.0),
+    ('tracking_error_peak_n', 'largest error; with a moved piston, the felt force', '', 1.0),
     ('impedance_real', 'real part of the impedance', 'N s/m', 1.0))
 
 
@@ -82,10 +82,10 @@ class Comparison(Result):
                     text = filled('over {value:.3g}' if not_settled else '{value:.3g}', each)
                     found.setdefault(each['name'], dict(each))[each['controller']] = (
                         missing.format(text) if each['met'] is False else text)
-            yield Table(['', 'to reach', '', *self.controllers], [
+            yield Table(['', 'target', '', *self.controllers], [
                 [row['text'], filled('{goal:.3g}', row), row['unit'],
                  *(row[name] for name in self.controllers)] for row in found.values()],
-                condition, ['to reach', *self.controllers])
+                condition, ['target', *self.controllers])
             if condition == self['figures'][0]['condition']:
                 yield self._steps(condition)
         if self['z_width']:

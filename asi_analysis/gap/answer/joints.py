@@ -49,7 +49,7 @@ class JointGaps(Result):
 
     def parts(self) -> Iterator[str | Table]:
         columns = ('joint', 'what was found', 'probability', 'size (95 % interval)', 'nominal',
-                   'with what was found', 'noise')
+                   'improved', 'noise')
         yield Table(columns, [_row(each) for each in self.joints],
                     'error (rms) as a share of the signal', (columns[2], *columns[4:]))
         for each in self.joints:

@@ -35,7 +35,7 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
             axes.fill_between(time, 0, 1, where=held_out, transform=axes.get_xaxis_transform(),
                               color='#f0f3f5', zorder=0, linewidth=0)
         below.set_ylabel('real - model')
-        below.set_xlabel('time (s); shaded: samples that no fit has seen')
+        below.set_xlabel('time (s); shaded: validation samples')
     return figure
 
 

@@ -69,20 +69,20 @@ class Plan(Result):
         yield (f'Move the joint as follows, {self.runs} times, and record '
                f'{" and ".join(self.sensors)} at {self.rate_hz:g} Hz: {self.duration_s:.0f} s '
                'each time, from rest to rest.')
-        names = (f'to each side, {unit}', 'band, Hz', 'rests, s', f'speed, {unit}/s',
-                 f'{"torque" if unit == "rad" else "force"}, {self.force_unit}', 's')
-        yield Table(('course', *names), [[
+        names = (f'amplitude, {unit}', 'band, Hz', 'rests, s', f'speed, {unit}/s',
+                 f'{"torque" if unit == "rad" else "force"}, {self.force_unit}', 'duration, s')
+        yield Table(('motion', *names), [[
             each['course'], digits(each['amplitude']), _band(each['low_hz'], each['high_hz']),
             digits(each['rest_s']) if each['rest_s'] else '-', digits(each['speed']),
             digits(each['force']),
             f'{each["duration_s"]:.0f}'] for each in self.courses],
-            f'about {self.middle:.4g} {unit}; the force is that of the nominal model', names)
-        yield Table(('if it is', 'of this size or more', 'probability that it is named',
-                     'nearest other explanation', 'apart, error floors'), [[
+            f'motions about {self.middle:.4g} {unit}; force of the nominal model', names)
+        yield Table(('effect', 'smallest size', 'probability of being named',
+                     'nearest other explanation', 'distance, error floors'), [[
                          _in_words(each['suspect']), each['size'], chance(each['probability']),
                          _in_words(each['nearest']), digits(each['separation'])]
-                         for each in self.suspects], 'what this would tell',
-                    ('probability that it is named', 'apart, error floors'))
+                         for each in self.suspects], 'what these recordings can identify',
+                    ('probability of being named', 'distance, error floors'))
         yield from self.advice
         yield from (f'note: {note}' for note in self.notes)
         if self.reference:
@@ -340,11 +340,11 @@ def _advice(rows: Sequence[Mapping[str, Any]], sensors: Sequence[str]) -> Iterat
         if row['told']:
             continue
         name, words = row['suspect'], _in_words(row['suspect'])
-        text = (f'{words} of this size is not told: no motion here separates it enough from '
-                f'{_in_words(row["nearest"])} with {" and ".join(sensors)}')
+        text = (f'{words} of this size cannot be identified: no motion here separates it enough '
+                f'from {_in_words(row["nearest"])} with {" and ".join(sensors)}')
         quantity = next((what for names, what in MEASURE if name in names), None)
         if row['sensor']:
-            text += f'; with the {row["sensor"]} recorded too it would be'
+            text += f'; with the {row["sensor"]} recorded too it can be identified'
         elif quantity:
             text += f'; measure {quantity}'
         yield text
@@ -365,16 +365,16 @@ def _notes(limits: Limits, sensors: Sequence[str], plan: Planned, force: Array,
                f'joint needs {most / limits.force:.0%}, at most {FORCE_SHARE:.0%}'
                .replace('%', ' %')
                if math.isfinite(limits.force) else
-               f'no largest force was told (--limit command=VALUE[{force_unit}]): the drive must '
-               f'give {2.0 * most:.3g} {force_unit}, twice what the nominal joint takes')
+               f'no limit of the force was given (--limit command=VALUE[{force_unit}]): the drive '
+               f'must give {2.0 * most:.3g} {force_unit}, twice what the nominal joint needs')
         yield ('of the load ' + ', '.join(
             f'{name.removeprefix("load.")} {value:.4g}' for name, value in given.items())
             + '; gravity, friction and what the model does not hold come on top')
     assumed = [name for name in sensors if name not in limits.noise and name != 'reference']
     if assumed:
         yield (f'noise assumed of {" and ".join(assumed)}: an encoder of {ENCODER_BITS} bits, '
-               f'{100.0 * FORCE_NOISE:g} % of a force; --noise position=0.01[deg] tells it')
-    yield ('probabilities are those of a diagnosis in which everything else is as in the model: '
-           'a real joint has more than one fault, and each is told less surely')
+               f'{100.0 * FORCE_NOISE:g} % of a force; --noise position=0.01[deg] sets it')
+    yield ('the probabilities assume that everything else is as in the model: a real joint '
+           'differs in several ways, and each is identified less surely')
     if plan.runs == MOST_RUNS:
         yield f'more than {MOST_RUNS} runs were not tried'

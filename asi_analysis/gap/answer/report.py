@@ -66,7 +66,7 @@ def _characteristic(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     recording = weighed.group.recordings[-1]
     records = {'nominal': weighed.group.as_given}
     if answer['verdict'] != NO_GAP:
-        records['with what was found'] = diagnosis.best(weighed).fitted.record
+        records['improved model'] = diagnosis.best(weighed).fitted.record
     origin = recording.taken
     return pictures.characteristic(
         recording.input + origin['input'], recording.output + origin['output'],
@@ -84,7 +84,7 @@ def _overlay(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     models = {'nominal': predict(recording, channel, weighed.group.as_given)}
     power = (real - models['nominal']) ** 2 * recording.report
     if answer['verdict'] != NO_GAP:
-        models['with what was found'] = predict(recording, channel,
+        models['improved model'] = predict(recording, channel,
                                                 diagnosis.best(weighed).fitted.record)
     # The section with the largest error of the nominal model.
     rate = float(np.std(np.diff(real)) / np.std(real)) / recording.period_s   # rad/s

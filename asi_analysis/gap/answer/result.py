@@ -118,13 +118,13 @@ def _explanations(answer: Mapping[str, Any], chances: bool) -> Table:
     columns = ('explanation', 'probability', 'block', 'size (95 % interval)')
     chosen = (0, 1, 2, 3) if chances else (0, 2, 3)
     return Table([columns[n] for n in chosen], [[row[n] for n in chosen] for row in rows],
-                 'what may explain it', columns[1:2])
+                 'possible explanations', columns[1:2])
 
 
 def _errors(answer: Mapping[str, Any], gap: bool) -> Table:
     columns = ['signal', 'nominal', 'refitted', 'noise']
     if gap:
-        columns[3:3] = ['with what was found']
+        columns[3:3] = ['improved']
         columns.append('shrink (95 % interval)')
     rows = []
     for row in answer['channels']:
@@ -135,12 +135,12 @@ def _errors(answer: Mapping[str, Any], gap: bool) -> Table:
                      f', up to {digits(edge, "Hz")}' if edge else ''),
                  'nominal': percent(row['before_nrmse']),
                  'refitted': percent(row['refitted_nrmse']),
-                 'with what was found': percent(row['after_nrmse']),
+                 'improved': percent(row['after_nrmse']),
                  'noise': percent(row['noise_floor_nrmse']),
                  'shrink (95 % interval)': shrink_in_words(row) if there else '-'}
         rows.append([cells[name] for name in columns])
-    return Table(columns, rows, 'error (rms) on samples that no fit has seen, as a share of the '
-                 'signal', columns[1:])
+    return Table(columns, rows, 'error (rms) on the validation samples, as a share of the signal',
+                 columns[1:])
 
 
 def _of_the_loop(row: Mapping[str, Any]) -> list[str]:

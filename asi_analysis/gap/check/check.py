@@ -304,7 +304,7 @@ class GapCheck(Result):
             f'{count} {kind}' for kind, count in self.by_kind.items())
         yield table_of([{'figure': name, 'value': self[name], 'reach': reach}
                         for name, reach in REACH.items()],
-                       {'figure': '{figure}', 'value': '{value:.3f}', 'to reach': '{reach}'})
+                       {'figure': '{figure}', 'value': '{value:.3f}', 'target': '{reach}'})
         if self.wrong:
             yield table_of(self.wrong, {
                 'bag': '{bag}', 'truth': '{truth}', 'verdict': '{verdict}',

@@ -58,7 +58,7 @@ def test_more_weight_on_a_joint_is_named_beside_the_friction_that_it_always_had(
     row, = (row for row in answer.baseline['parameters'] if row['changed'])
     assert row['parameter'] == 'gravity_sine' and row['unit'] == 'Nm'
     assert row['now'] == pytest.approx(0.05, abs=0.003)
-    assert 'Changed: gravity: more of sin q from 0.00 to 0.0' in str(answer)
+    assert 'Changed: gravity: sin q term from 0.00 to 0.0' in str(answer)
 
 
 def rigid(inertia: float, seed: int) -> Run:
