@@ -35,6 +35,9 @@ STANDS_S, SLOW, MOST_STANDS = 0.02, 0.1, 0.95
 # long as a joint at SLOW times its usual speed takes for that, at most LONGEST_S. A shorter time
 # would leave out the slow motion at each turn, from which a compliance is identified.
 WITHIN, REST_S, LONGEST_S = 6.0, 0.1, 0.3
+# A load halts if its speed is below HALTED standard deviations of its noise, and what smoothing
+# makes of an acceleration that begins at once: LEAK times the usual change of speed in it.
+HALTED, LEAK, FASTER = 4.0, 0.1, 8.0
 LEAST_RATIO = 0.25      # of a velocity to the derivative of its position, or its inverse
 
 
@@ -59,6 +62,7 @@ class Motion:
     noise: Array                 # m2/s2
     pad: int                     # samples before the recording
     measured: bool               # false if the position was found by integration
+    halts: Mask                  # samples in which the load halts for a moment, see `halts`
 
     @property
     def inner(self) -> slice:
@@ -110,7 +114,8 @@ def first_of(motion: Motion, count: int, period: float) -> Motion:
     smooth, judge, noise = (np.interp(omega, motion.omega, each)
                             for each in (motion.smooth, motion.judge, motion.noise))
     return Motion(omega, position, velocity, motion.acceleration[:size], np.fft.rfft(position),
-                  np.fft.rfft(velocity), smooth, judge, noise, motion.pad, motion.measured)
+                  np.fft.rfft(velocity), smooth, judge, noise, motion.pad, motion.measured,
+                  motion.halts[:size])
 
 
 def _fast_padding(size: int, least: int) -> int:
@@ -246,9 +251,12 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
     judge = low_pass(frequency, band)
     if position is None:   # an integral drifts at low frequencies
         judge = judge * (1.0 - np.exp(-(frequency / LOWEST_INTEGRATED_HZ) ** 2))
-    return Motion(omega, np.fft.irfft(x, count), np.fft.irfft(v, count),
-                  np.fft.irfft(1j * omega * v, count), x, v, smooth, judge, noise, pad,
-                  position is not None), fused
+    smoothed, acceleration = np.fft.irfft(v, count), np.fft.irfft(1j * omega * v, count)
+    # An acceleration that begins at once is smoothed, too.
+    slow = math.hypot(HALTED * math.sqrt(float(np.mean(smooth ** 2 * noise))),
+                      LEAK * float(np.std(acceleration)) / (2.0 * np.pi * corner))
+    return Motion(omega, np.fft.irfft(x, count), smoothed, acceleration, x, v, smooth, judge,
+                  noise, pad, position is not None, halts(smoothed, slow)), fused
 
 
 def judged(values: Array, motion: Motion) -> Array:
@@ -294,6 +302,24 @@ def _with_reach(still: Mask, period: float, band: float) -> Mask:
     reach = round(0.5 / (band * period))
     near = np.convolve(still, np.ones(2 * reach + 1), 'same') > 0.0
     return near if near.mean() < MOST_STANDS else np.zeros_like(still)
+
+
+def halts(velocity: Array, slow: float) -> Mask:
+    """
+    Return the samples in which a load may halt for a moment, as friction makes it.
+
+    It is below a speed, and as long before and after that it is FASTER times as fast: more than at
+    a turn of constant acceleration, where that is three times.
+    """
+    speed = np.abs(velocity)
+    below = np.concatenate([[False], speed < slow, [False]])
+    found = np.zeros(speed.size, bool)
+    for first, last in np.flatnonzero(np.diff(below)).reshape(-1, 2):
+        before, after = 2 * first - last, 2 * last - first - 1
+        if (before >= 0 and after < speed.size
+                and min(speed[before], speed[after]) > FASTER * slow):
+            found[first:last] = True
+    return found
 
 
 def ends(count: int, period: float) -> Mask:

@@ -574,14 +574,15 @@ def drift(time, e):
 
 
 @jit
-def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
+def load_nonlinear(position, velocity, damping, e, period, start, balance, out, slack):
     """
     Put into `out` the force (N) of the load that is not linear in its motion.
 
     Friction behind the sensor and disturbance; into `slack` the displacement (m) between piston
     and load by backlash. position m, velocity m/s: of the piston; damping N s/m of the load;
     start: time of the first sample, s. Friction and backlash start at time 0: before, the motion
-    is extrapolated.
+    is extrapolated. balance: force (N) that is left for all of this where the load halts, as
+    static friction balances any; nan where it moves; empty if it does not halt.
     """
     elements, reach = seized(e)
     left, before = position[0], position[0]
@@ -592,9 +593,10 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
         if start + k * period < 0.5 * period:
             left, before = x, x
         total = e.load_offset - e.disturbance
+        rub = 0.0
         if e.friction_inside < 0.5:
             if e.friction_level > 0.0:
-                total += slide(elements, reach, x - before, v, e)
+                rub = slide(elements, reach, x - before, v, e)
             total += viscous_force(v, e) + damping * e.viscous_asymmetry * abs(v)
         if e.backlash > 0.0:
             left = play(left, x, e.backlash)
@@ -611,7 +613,17 @@ def load_nonlinear(position, velocity, damping, e, period, start, out, slack):
             fall = min(max((time - e.disturbance_end) / period + 0.5, 0.0), 1.0)
             total -= e.disturbance_pulse * (rise - fall)
         before = x
-        out[k] = total
+        if k < balance.shape[0] and balance[k] == balance[k]:
+            rub = held(balance[k] - total, e)
+        out[k] = total + rub
+
+
+@jit
+def held(force, e):
+    """Return the static friction (N) that balances a force, at most the breakaway friction."""
+    most = e.friction_level * (1.0 + e.friction_breakaway)
+    return min(max(force, -most * (1.0 - e.friction_asymmetry)),
+               most * (1.0 + e.friction_asymmetry))
 
 
 @jit

@@ -153,7 +153,7 @@ _ASYMMETRIC = tuple(
 _ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)),
                             Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02)), joined=True)
 _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
-                      Free('friction_stribeck', 0.03, 0.6, (0.1, 0.3), 'velocity', 'm/s'),
+                      Free('friction_stribeck', 0.005, 0.6, (0.1, 0.3, 0.02), 'velocity', 'm/s'),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
 
 

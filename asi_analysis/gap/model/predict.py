@@ -13,7 +13,7 @@ from asi_analysis.arrays import Array, Complex
 from asi_analysis.gap.model import blocks, simulator, static_blocks
 from asi_analysis.gap.model.effects import MOTIONS, OF_A_RECORDING, of_recording
 from asi_analysis.gap.model.model_file import effect_fields
-from asi_analysis.gap.motion import Motion, judged
+from asi_analysis.gap.motion import Motion, extended, judged
 from asi_analysis.gap.prepare import Recording, velocity_of
 from asi_analysis.gap.sampling import noise_of_colour, whitened, whitened_by
 from asi_common.jit import FULL
@@ -209,10 +209,11 @@ def _load(recording: Recording, p: np.void) -> Array:
     motion = _motion(recording, p)
     _, damping, stiffness = blocks.load_constants(p)
     extra, slack = np.zeros((2, motion.velocity.size))
-    blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
-                          recording.period_s, -motion.pad * recording.period_s, extra, slack)
     weight, taken, slope = _weight(recording, p)
     passed, reading = _spectrum(weight), _reading(motion.omega, p)
+    blocks.load_nonlinear(motion.position, motion.velocity, damping, blocks.parts(p)[1],
+                          recording.period_s, -motion.pad * recording.period_s,
+                          _balance(recording, motion, p, weight, taken), extra, slack)
     if p['backlash_floating'] > 0.0:
         mass = float(p['load_mass'] * p['piston_share'])
         moved = np.empty((2, extra.size))
@@ -242,6 +243,24 @@ def _load(recording: Recording, p: np.void) -> Array:
     time = recording.time_s
     return inner + p['force_sensor_offset'] + p['sensor_offset'] + blocks.drift(
         time, blocks.parts(p)[1])
+
+
+def _balance(recording: Recording, motion: Motion, p: np.void, weight: Array, taken: Array
+             ) -> Array:
+    """
+    Return the force (N) that is left for friction where the load halts; empty without any.
+
+    nan where it moves. weight, taken: see `_weight`.
+    """
+    if p['friction_level'] == 0.0 or p['friction_inside'] > 0.5 or not motion.halts.any():
+        return np.empty(0)
+    assert recording.force is not None
+    mass, damping, stiffness = blocks.load_constants(p)
+    sensed = np.fft.rfft(extended(recording.force - p['sensor_offset'], motion.pad) + taken)
+    force = np.fft.irfft(motion.smooth * sensed / _reading(motion.omega, p), taken.size)
+    moving = (mass * motion.acceleration + damping * motion.velocity
+              + stiffness * motion.position + weight)
+    return np.where(motion.halts, force - moving, np.nan)
 
 
 def _motion(recording: Recording, p: np.void) -> Motion:

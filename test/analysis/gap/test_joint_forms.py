@@ -1,5 +1,7 @@
 """Forms of a joint's effects, alone: lost motion, a servo with a lag."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +13,12 @@ from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.check.check import examine
 from asi_analysis.gap.model import blocks
-from asi_analysis.gap.model.joint import IDEAL
-from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.joint import IDEAL, joint_groups
+from asi_analysis.gap.model.predict import plant_record, unexplained
 from asi_analysis.gap.model.servo.identification import Servo, follow, servo_of, slow_servo
 from asi_analysis.gap.model.servo.nominal import late_by
-from asi_analysis.gap.prepare import prepare
+from asi_analysis.gap.prepare import Recording, prepare
+from asi_common.jit import jit
 
 PERIOD_S = 0.004
 TIME_S = PERIOD_S * np.arange(1500)
@@ -168,3 +171,46 @@ def test_first_guess_of_a_drives_delay(samples: int):
         'signals': {'command': 'Nm', 'force': 'Nm'}})
     # The output of a sample answers the command of the one before.
     assert late_by(prepare([run], 'drive', [False])) == pytest.approx((samples - 1) * period)
+
+
+@jit
+def _sliding(force, friction, breakaway, stribeck, sub_steps, period, out):
+    """Put into `out` the position (m) of a mass of 90 kg with stiction (Karnopp), N, m/s."""
+    h, x, v = period / sub_steps, 0.0, 0.0
+    for k in range(force.size):
+        out[k] = x
+        for _ in range(sub_steps):
+            most = friction * (1.0 + breakaway * math.exp(-(v / stribeck) ** 2))
+            if v == 0.0 and abs(force[k]) <= most:
+                continue
+            way = math.copysign(1.0, force[k] if v == 0.0 else v)
+            after = v + h / 90.0 * (force[k] - 250.0 * v - way * most)
+            v = 0.0 if v * after < 0.0 else after
+            x += h * v
+
+
+def test_friction_of_a_load_that_halts_for_a_moment_balances_the_force():
+    # It halts for 30 ms at each turn; the residual of the true parameters was four times as large.
+    period = 1e-3
+    time, position = period * np.arange(12_000), np.empty(12_000)
+    force = 70.0 * np.sin(2.0 * np.pi * 0.83 * time) + 40.0 * np.sin(2.0 * np.pi * 0.25 * time)
+    _sliding(force, 20.0, 0.9, 0.005, 50, period, position)
+    rng = np.random.default_rng(3)
+    run = Run(time, command_n=force + rng.normal(0.0, 0.6, time.size),
+              position_m=position + rng.normal(0.0, 5e-7, time.size), source='slide')
+    groups, _ = joint_groups([run], {}, 0.2, [False], 'force')
+    recording, p = groups[-1].recordings[0], groups[-1].nominal.copy()
+    for name, value in (('load_mass', 90.0), ('load_damping', 250.0), ('drive_hold', 5e-4),
+                        ('friction_level', 20.0), ('friction_breakaway', 0.9),
+                        ('friction_stribeck', 0.005), ('friction_falling', 2.0),
+                        ('friction_bristle', 1e-7), ('friction_rounding', 1.0)):
+        p[name] = value
+
+    def left(each: Recording) -> float:
+        return float(np.std(unexplained(each, 'load', p)[each.valid]))
+
+    motion = recording.moved
+    moving = replace(recording, motion=replace(motion, halts=np.zeros_like(motion.halts)),
+                     cache={})
+    assert 0.02 < motion.halts.mean() < 0.2
+    assert left(recording) < 0.4 * left(moving)
