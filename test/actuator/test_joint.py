@@ -36,6 +36,7 @@ def solved(derivative: Callable[[np.ndarray, float], list[float]], start: list[f
     return out
 
 
+@pytest.mark.slow
 def test_every_effect_is_null_by_default():
     found = run({'load.mass': 0.05})
     force = np.append(0.0, COMMAND[:-1])    # held from sample to sample

@@ -226,6 +226,7 @@ def messages_of(bag):
                 for connection, time_ns, data in reader.messages()]
 
 
+@pytest.mark.slow
 def test_same_command_gives_the_same_bag_twice_over_ros_and_once_in_one_process(
         ros_environment, tmp_path):
     bags = []

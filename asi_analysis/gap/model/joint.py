@@ -300,7 +300,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
         for name, forms in EFFECTS.items()}
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
                        effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
-                       floor_by_best=not proportional)
+                       floor_by_best=True)
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
         [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})

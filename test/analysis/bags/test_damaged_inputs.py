@@ -50,6 +50,7 @@ def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
     assert not figure_problem(recording(), Random(seed))
 
 
+@pytest.mark.slow
 @settings(few, max_examples=25)
 @given(seed=seeds)
 def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:

@@ -45,6 +45,7 @@ def test_more_friction_is_named_with_its_size_before_and_now():
     assert problems(json.loads(json.dumps(answer.to_dict(), allow_nan=False)), 'asi gap') == []
 
 
+@pytest.mark.slow
 def test_a_machine_that_was_worse_has_less_friction_now():
     answer = asked(HEALTHY[0], joint(**MACHINE | {'friction': 0.13}))
     assert answer.verdict == 'coulomb_friction'
@@ -52,6 +53,7 @@ def test_a_machine_that_was_worse_has_less_friction_now():
     assert row['now'] == pytest.approx(0.1, rel=0.03) and row['now'] < row['healthy_low']
 
 
+@pytest.mark.slow
 def test_more_weight_on_a_joint_is_named_beside_the_friction_that_it_always_had():
     answer = asked(joint(**MACHINE | {'gravity': 0.55}), *HEALTHY)
     assert answer.verdict == 'gravity' and answer.where[0]['block'] == 'mechanics'
@@ -136,6 +138,7 @@ def test_two_doubts_are_one_doubt(monkeypatch):
     assert notes == ['load', 'model']
 
 
+@pytest.mark.slow
 def test_a_torque_within_the_tolerance_but_beyond_the_healthy_ones_is_no_sure_answer():
     answer = asked(turning(1.17, 3), turning(1.0, 1), turning(1.0, 2))
     assert answer.verdict == 'no_gap' and answer.probability < 0.85
@@ -210,6 +213,7 @@ def test_the_actuator_is_compared_by_the_simulator():
     assert improved_of(slower, nominal)['valve_flexure.lag_time'] == pytest.approx(0.003, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_spread_holds_each_recording_alone_and_at_most_the_tolerance():
     diagnosis = diagnosis_of([rigid(0.02, 1), rigid(0.021, 2)], {}, 'joint')
     fitted = diagnosis.best(diagnosis.groups[0]).fitted
@@ -227,6 +231,7 @@ def test_other_signals_than_those_of_the_healthy_recordings_are_refused():
         asked(HEALTHY[0], alone)
 
 
+@pytest.mark.slow
 @needs_data
 def test_parts_of_one_measured_recording_have_not_changed():
     run = emps('DATA_EMPS.mat')

@@ -196,6 +196,7 @@ def test_what_cannot_be_exported_is_refused_at_once(file, message, tmp_path, mon
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_loop_of_velocity_is_no_servo_of_these_formats(tmp_path):
     time = np.arange(0.0, 20.0, 0.01)
     reference = np.sin(2.0 * np.pi * 0.3 * time) + 0.3 * np.sin(2.0 * np.pi * 1.1 * time)

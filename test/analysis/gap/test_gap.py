@@ -101,6 +101,7 @@ def test_a_gain_of_the_sensor_is_an_effect_only_beyond_its_tolerance():
     assert set(beyond.verdict) == {'sensor_gain', 'sensor_offset'}
 
 
+@pytest.mark.slow
 def test_asymmetry_of_the_friction_that_the_model_has():
     # Its mean over both directions stays, so in motion it is little but a constant force.
     seals = {'friction.model': 'full', 'friction.coulomb': 40.0, 'friction.stiction_push': 40.0,
@@ -461,6 +462,7 @@ def test_parameters_within_their_tolerance_are_no_clock_that_differs():
             plausibility.check_against_model(group)
 
 
+@pytest.mark.slow
 def test_a_clock_is_checked_where_a_tolerance_leaves_no_response():
     """A command just above the radius of the hysteresis: a larger radius moves nothing."""
     rng = np.random.default_rng(3)

@@ -225,6 +225,7 @@ def test_setting_overrides_what_the_bag_tells():
         'nominal model: from the metadata of real; load spring, 1000 Hz')
 
 
+@pytest.mark.slow
 def test_effects_of_the_nominal_model_are_said_to_be_approximate():
     run = dataclasses.replace(recorded()[:1000], information={'actuator': TEXTBOOK})
     # A hysteresis without width: its law could be formulated in another way than the simulator's.

@@ -103,6 +103,7 @@ def test_free_load_that_moves_without_force_does_not_begin_at_rest():
     assert (answer['verdict'], answer['probability'] > 0.9) == ('no_gap', True)
 
 
+@pytest.mark.slow
 def test_first_recording_may_be_held_out():
     nominal = {'load.type': 'spring'}
     run = simulated(nominal, duration_s=1.5)

@@ -485,6 +485,7 @@ def test_lost_motion_of_a_position_loop_is_backlash():
     assert found['backlash']['parameters']['loop_width'] == pytest.approx(0.03, rel=0.05)
 
 
+@pytest.mark.slow
 def test_uneven_friction_is_not_an_offset_for_sure():
     answer = document(diagnose([joint(friction=0.15, uneven=0.5)], {}, 'joint'))
     assert 'friction_asymmetry' in answer['ambiguity_set']

@@ -43,6 +43,7 @@ def press(name: str) -> Run:
                information=SERVO)
 
 
+@pytest.mark.slow
 @needs_data
 def test_joint_with_coulomb_friction(tmp_path):
     runs = [emps('DATA_EMPS.mat'), emps('DATA_EMPS_PULSES.mat')]

@@ -356,6 +356,7 @@ def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
     assert null.as_fitted.values['force_sensor_gain'] == pytest.approx(0.87, rel=0.03)
 
 
+@pytest.mark.slow
 def test_an_effect_of_a_machine_that_is_nominal_otherwise_is_found_alone():
     """Although errors of nominal parameters could imitate it nearly as well."""
     nominal = {'load.type': 'spring'}

@@ -74,6 +74,7 @@ def test_size_of_what_a_fit_finds_only_from_nearby(seed, effect, field, truth):
     assert size == pytest.approx(case.plant[truth], rel=0.05)
 
 
+@pytest.mark.slow
 def test_delay_of_a_servo_that_reaches_the_noise():
     case = draw_joint(300222)
     answer = document(diagnose(case.runs, {}, 'joint'))

@@ -33,6 +33,7 @@ def test_the_only_steps_of_an_input_are_fitted_and_used_for_model_selection():
     assert reported(held).any()
 
 
+@pytest.mark.slow
 def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
     driving, output = pulse(), np.zeros(857)
     speed = 0.0
@@ -54,6 +55,7 @@ def test_a_backlash_of_its_smallest_width_is_none(share: float, none: bool):
     assert is_closed((variant,), variant.free, np.array([share, 0.5, 0.5])) == none
 
 
+@pytest.mark.slow
 def test_a_backlash_that_closes_at_last_is_no_hypothesis(monkeypatch: pytest.MonkeyPatch):
     # The cylinder again: where a pair lost its friction, what was left was backlash, 0.94.
     variant = rattling_in(None)[0]
@@ -67,6 +69,7 @@ def test_a_backlash_that_closes_at_last_is_no_hypothesis(monkeypatch: pytest.Mon
     assert closed not in found.values() and ('coulomb_friction',) in found
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('ignore:.*the joint has gravity')
 def test_a_third_run_of_a_machine_that_varies_is_no_change():
     # The friction of the two healthy runs differs by 5 %, that of the third by 5 % more.

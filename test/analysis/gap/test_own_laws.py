@@ -103,6 +103,7 @@ def test_a_constant_delay_is_not_called_uneven(more):
     assert improved_of(diagnosis, TEXTBOOK).get('command_path.delay_spread', 0.0) == 0.0
 
 
+@pytest.mark.slow
 def test_what_an_uneven_delay_does_not_explain_is_no_delay():
     """A static law of the valve that is not linear, behind two lags: errors at each jump."""
     run = recorded(valve_flexure__lag_time=0.003, valve_flexure__second_lag_time=0.002)
@@ -212,6 +213,7 @@ def test_unknown_gap_adds_no_improbable_effect():
     assert [diagnosis.best(each).names for each in diagnosis.groups] == [(), ()]
 
 
+@pytest.mark.slow
 def test_free_load_is_explained():
     free = {'load.type': 'free'}
     run = recorded(real={**REAL, **free}, force_sensor__offset=20.0)[:1500]

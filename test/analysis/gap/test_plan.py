@@ -107,6 +107,7 @@ def test_what_a_model_lacks_is_asked_for(tmp_path: Path) -> None:
         plan_recording(path)
 
 
+@pytest.mark.slow
 def test_a_plan_of_a_servo_is_a_table_and_a_reference(
         model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / 'reference.csv'

@@ -69,14 +69,15 @@ def test_friction_within_the_block_is_that_of_a_fine_simulation():
 
 @pytest.mark.parametrize(('fault', 'verdict'), [
     ({'friction': 25.0}, 'coulomb_friction'), ({'friction': 40.0, 'breakaway': 2.5}, 'stiction'),
-    ({'stiffness': 400.0}, 'load_compliance'), ({'late': 0.3}, 'no_gap'), ({}, 'no_gap')])
+    ({'late': 0.3}, 'no_gap'), ({}, 'no_gap'),
+    pytest.param({'stiffness': 400.0}, 'load_compliance', marks=pytest.mark.slow)])
 def test_what_disturbs_a_servo_is_found_within_its_loop(fault: dict[str, float], verdict: str):
     # A delay, a lag or a backlash, each for sure; a third of a sample was a delay.
     answer = diagnose([run_of(**fault)], plant='joint')
     assert answer.verdict == verdict
 
 
-@pytest.mark.parametrize('scale', [0.001, 100.0])
+@pytest.mark.parametrize('scale', [0.001, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_friction_of_a_servo_is_found_in_any_unit(scale: float):
     run = run_of(friction=25.0)
     assert run.reference_n is not None and run.position_m is not None
@@ -235,6 +236,7 @@ def test_fine_steps_of_a_reference_are_found():
         0.056, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_in_a_slow_motion_is_no_sure_backlash():
     # It makes the motion late as a slow servo does; of few initial guesses only one was followed.
     slow = 0.4 * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * 0.1 * PERIOD_S * np.arange(3000)))

@@ -103,6 +103,7 @@ def test_balance_meets_each_simulated_cycle_of_the_table(table):
     assert problems(table, 'asi attribute') == []
 
 
+@pytest.mark.slow
 def test_linear_instability_is_not_blamed_on_a_nonlinearity():
     found = attribute_model(STUDY, STUDY_CONTROLLER | {'reference.amplitude': 100.0}, 5000.0,
                             gain=14.0)

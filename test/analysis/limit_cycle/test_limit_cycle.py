@@ -150,6 +150,7 @@ def _moved(reference, motion):
     return max(judge_run(run, undriven=True), key=lambda s: s.end_s - s.start_s)
 
 
+@pytest.mark.slow
 def test_what_follows_a_moving_reference_is_forced_and_a_cycle_beside_it_is_not():
     t = np.arange(4000) / 1000.0
     chirp = np.sin(2 * np.pi * (1.0 + 4.0 * t) * t)
@@ -437,6 +438,7 @@ def test_a_sticking_loop_in_noise_is_not_surely_noise():
         assert segment.verdict != 'noise' or segment.confidence < 0.9
 
 
+@pytest.mark.slow
 def test_coarsely_rounded_noise_and_spikes_in_noise_are_noise():
     random = np.random.default_rng(1)
     t = 0.01 * np.arange(1500)
@@ -506,6 +508,7 @@ def test_command_prints_what_is_documented(tmp_path):
     assert (tmp_path / 'cycle_1.png').read_bytes().startswith(b'\x89PNG')
 
 
+@pytest.mark.slow
 def test_isolation_experiment_shows_the_orbit_from_both_sides(tmp_path, ros_environment):
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'run', '--experiment', 'isolation', '--gain',

@@ -127,6 +127,7 @@ def test_balance_is_the_simulated_cycle(step, gain, actuator):
     assert found.thd == pytest.approx(swing.thd, rel=0.1)
 
 
+@pytest.mark.slow
 def test_branch_folds_where_the_simulated_cycle_is_born():
     settings = STUDY_CONTROLLER | {'reference.amplitude': 300.0}
     gain, frequency, *_ = onset(STUDY, settings, RATE_HZ, 8.0)
