@@ -107,6 +107,9 @@ NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_behind', 1.0),))
+# A drive whose measured force is another multiple of its command than the units say.
+OTHER_GAIN: Effects = {'drive_gain': (Variant((Free(
+    'valve_characteristic_gain', 0.1, 10.0, (0.5, 2.0), 'nominal'),), ('valve',)),)}
 # Delay and lag of a slow machine's position loop: ten times those of a valve, s; or in samples.
 LONGEST, LONGEST_SAMPLES = 1.0, 20
 LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
@@ -208,7 +211,10 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     groups = []
     if all({'command', 'force'} <= run.signals().keys()
            and run.unit('command') not in ('m', 'rad') for run in runs):
-        groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True))
+        # With a known mass the units are to be trusted: of equal ones, the gain is 1.
+        one = 'load.mass' in given and all(run.unit('command') == run.unit('force')
+                                           for run in runs)
+        groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True, gain_is_one=one))
     force_measured = all(run.force_n is not None for run in runs)
     holds = extent.hidden and not turns and stiffness is None and all(
         run.position_m is not None for run in runs)
@@ -251,14 +257,14 @@ def _without_hidden_compliance(group: Group) -> Group:
 
 def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool,
            servos: Sequence[Servo] = (), steps: Steps | None = None,
-           model_error: float = SERVO_ERROR) -> Group:
+           model_error: float = SERVO_ERROR, gain_is_one: bool = False) -> Group:
     """
     Return the group of a drive that should follow its command at once, or as a servo.
 
-    proportional: its gain is identified, and not 1; steps: quantisation of its reference. servos:
-    the first one takes the place of the actuator's flexure. Its frequency, damping and limits are
-    free in every fit, since a lag or a delay beside it resembles another servo; fits with effects
-    start from each of them.
+    proportional: its gain is identified, unless it should be 1 (gain_is_one); steps: quantisation
+    of its reference. servos: the first one takes the place of the actuator's flexure. Its
+    frequency, damping and limits are free in every fit, since a lag or a delay beside it resembles
+    another servo; fits with effects start from each of them.
     """
     nominal = plant_record(IDEAL)
     dynamics: tuple[Free, ...] = ()
@@ -282,10 +288,11 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
              loop_of(servo, [lead for _, lead in starts])), *initial_state(recordings)
     nominal['valve_characteristic_full_opening'] = 1.0
     nominal['load_mass'] = 0.0
-    if proportional:
+    identified = proportional and not gain_is_one
+    if identified:
         nominal['valve_characteristic_gain'] = _gain(recordings)
     # The gain was identified without a lag: with one it is biased towards zero.
-    low, high = (0.1, 10.0) if proportional else (1.0 - tolerance, 1.0 + tolerance)
+    low, high = (0.1, 10.0) if identified else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
     # If the motion is too slow to show the servo's dynamics, dry friction in its loop is a play.
     own: dict[str, tuple[Variant, ...]] = {
@@ -298,6 +305,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
                                  for free in form.free))
         for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
         for name, forms in EFFECTS.items()}
+    effects |= OTHER_GAIN if gain_is_one else {}
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
                        effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
                        floor_by_best=True)

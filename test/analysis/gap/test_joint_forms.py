@@ -12,6 +12,7 @@ from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputWarning
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.check.check import examine
+from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model import blocks
 from asi_analysis.gap.model.joint import IDEAL, joint_groups
 from asi_analysis.gap.model.predict import plant_record, unexplained
@@ -214,3 +215,25 @@ def test_friction_of_a_load_that_halts_for_a_moment_balances_the_force():
                      cache={})
     assert 0.02 < motion.halts.mean() < 0.2
     assert left(recording) < 0.4 * left(moving)
+
+
+@pytest.mark.parametrize(('gain', 'verdict'), [(0.62, ('drive_gain',)), (0.9, ())])
+def test_a_drive_that_makes_another_force_of_its_command(gain: float, verdict: tuple[str, ...]):
+    # Its gain was identified, whatever it was; with a known mass the units are to be trusted.
+    rng = np.random.default_rng(2)
+    command = 3.0 * REFERENCE
+    force, position = gain * command, np.empty(command.size)
+    place, speed = 0.0, 0.0
+    for k, push in enumerate(force):   # 0.5 kg, 2 Ns/m, a spring of 20 N/m
+        position[k] = place
+        for _ in range(20):
+            speed += 0.05 * PERIOD_S / 0.5 * (push - 2.0 * speed - 20.0 * place)
+            place += 0.05 * PERIOD_S * speed
+    run = Run(TIME_S, command_n=command, force_n=force + rng.normal(0.0, 0.02, force.size),
+              position_m=position + rng.normal(0.0, 1e-5, force.size), source='drive')
+    known = {'load.mass': 0.5, 'load.damping': 2.0, 'load.stiffness': 20.0}
+    found = diagnosis_of([run], known, 'joint')
+    assert found.verdict == verdict
+    if verdict:
+        assert found.best(found.groups[0]).fitted.values[
+            'valve_characteristic_gain'] == pytest.approx(gain, rel=0.01)
