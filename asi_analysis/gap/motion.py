@@ -253,10 +253,10 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
         judge = judge * (1.0 - np.exp(-(frequency / LOWEST_INTEGRATED_HZ) ** 2))
     smoothed, acceleration = np.fft.irfft(v, count), np.fft.irfft(1j * omega * v, count)
     # An acceleration that begins at once is smoothed, too.
-    slow = math.hypot(HALTED * math.sqrt(float(np.mean(smooth ** 2 * noise))),
-                      LEAK * float(np.std(acceleration)) / (2.0 * np.pi * corner))
+    halted = math.hypot(HALTED * math.sqrt(float(np.mean(smooth ** 2 * noise))),
+                        LEAK * float(np.std(acceleration)) / (2.0 * np.pi * corner))
     return Motion(omega, np.fft.irfft(x, count), smoothed, acceleration, x, v, smooth, judge,
-                  noise, pad, position is not None, halts(smoothed, slow)), fused
+                  noise, pad, position is not None, halts(smoothed, halted)), fused
 
 
 def judged(values: Array, motion: Motion) -> Array:

@@ -288,10 +288,10 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     floor, formulation = group.error_floor, group.formulation
     least = {channel: min(each[channel] for each in residual.values()) for channel in floor}
     if group.floor_by_best and all(least[name] < QUIET_RATIO * noise[name] for name in floor):
-        margin = FLOOR_MARGIN
-        if group.channels == ('valve',):   # measured directly: all that is left is known
-            noise = {name: min(level, least[name]) for name, level in noise.items()}
-            margin = 1.0 + NOISE_SHARE
+        # A rough command, or noise above the compared band, is no noise of what is compared.
+        noise = {name: min(level, least[name]) for name, level in noise.items()}
+        # Of a valve, which is measured directly, all that is left is known.
+        margin = 1.0 + NOISE_SHARE if group.channels == ('valve',) else FLOOR_MARGIN
         error = {name: max(least[name] - level, 0.0) for name, level in noise.items()}
         floor = {name: min(level, max(margin * max(noise[name], least[name]),
                                       least[name] + error[name]))

@@ -126,7 +126,7 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
         omega = np.maximum(motion.omega, motion.omega[1])
         one, none = np.ones_like(omega), np.zeros_like(omega)
         moved = _linear(omega, one, one / (1j * omega), none, p) * _reading(
-            omega, p) * motion.judge
+            omega, p) / blocks.lag_inverse(omega, p) * motion.judge
         return float(np.mean(np.abs(moved) ** 2 * motion.noise))
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
@@ -340,7 +340,7 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
 
     Noise of the simulator's channels is made white (Ljung, System Identification, 2nd ed., 7.3).
     """
-    error: Array = measured(recording, channel) - predict(recording, channel, p)
+    error = error_of(recording, channel, p)
     colour = recording.colour.get('valve_position' if channel == 'valve' else channel)
     if simulator.of_simulator(p):
         mean, factor = recording.uneven_mean, recording.uneven_delay
@@ -354,8 +354,22 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
 
 def unexplained(recording: Recording, channel: str, p: np.void) -> Array:
     """Return what a prediction leaves of a channel's output, n samples, as it is compared."""
-    return compared(recording, channel, measured(recording, channel)
-                    - predict(recording, channel, p))
+    return compared(recording, channel, error_of(recording, channel, p))
+
+
+def error_of(recording: Recording, channel: str, p: np.void) -> Array:
+    """
+    Return the error of a prediction, n samples in the channel's unit.
+
+    Behind the lag of a joint's drive: before it, the prediction has the noise of the motion times
+    the inverse of the lag, and a lag would fit worse than a delay for that alone.
+    """
+    error: Array = measured(recording, channel) - predict(recording, channel, p)
+    if channel != 'load' or p['drive_lag'] == 0.0:
+        return error
+    motion = recording.moved
+    spectrum = np.fft.rfft(extended(error, motion.pad)) / blocks.lag_inverse(motion.omega, p)
+    return np.fft.irfft(spectrum, motion.velocity.size)[motion.inner]
 
 
 def compared(recording: Recording, channel: str, signal: Array) -> Array:
