@@ -139,7 +139,7 @@ def test_a_joint_with_a_wrapped_angle_is_diagnosed_as_without():
     # The first was a KeyError; the second was answered, without gravity.
     ({'reference': 'deg', 'position': 'deg'}, False, "reference is in 'deg'; it takes N, Nm, m"),
     ({'position': 'deg', 'command': 'Nm'}, True, "position is in 'deg'; of a joint .* m or rad"),
-    ({'reference': 'rad', 'position': 'deg'}, False, "position is in 'deg'; of a joint .* or rad")])
+    ({'reference': 'rad', 'position': 'deg'}, False, "position is in 'deg'; of a joint .* rad")])
 def test_a_motion_in_another_unit_is_refused(units, commanded, refusal):
     run = replace(turning(ANGLE), information={'signals': units})
     run = run if commanded else replace(run, command_n=None, reference_n=1.01 * ANGLE)
