@@ -125,8 +125,16 @@ class Run:
         return self.information.get('signals', {}).get(name, usual[name])
 
     def controlled(self) -> str:
-        """Return the name of the controlled signal, which has the unit of the reference."""
-        return CONTROLLED[self.unit('reference')]
+        """
+        Return the name of the controlled signal, which has the unit of the reference.
+
+        Raises InputError for a reference in a unit that no signal has.
+        """
+        unit = self.unit('reference')
+        if unit not in CONTROLLED:
+            raise InputError(f'{self.source}: reference is in {unit!r}; it takes '
+                             f'{", ".join(CONTROLLED)}')
+        return CONTROLLED[unit]
 
     def output(self, name: str | None = None) -> str:
         """

@@ -31,8 +31,8 @@ def split_bag(path: str | Path, out: str | Path) -> dict[Path, int]:
     A part ends where the stamps go back, as they do when the actuator is started again in
     lock-step, and where none comes for STILL_S. Messages are copied as they are, with what the
     bag says of the run; a topic of which the parts cannot be told is left out, with an
-    InputWarning. Raises InputError if there is nothing to divide, no topic of which the parts can
-    be told, or a part exists already.
+    InputWarning. If one part cannot be written, none is kept. Raises InputError if there is
+    nothing to divide, no topic of which the parts can be told, or a part exists already.
 
     >>> import tempfile
     >>> import asi_analysis as asi
@@ -56,7 +56,13 @@ def split_bag(path: str | Path, out: str | Path) -> dict[Path, int]:
         parts = {name: slice(*[0, *begins, None][number:number + 2])
                  for name, begins in cuts.items()}
         bag = out / str(number + 1)
-        written[bag] = _copy(bag, contents.topics, parts, contents.information)
+        try:
+            written[bag] = _copy(bag, contents.topics, parts, contents.information)
+        except BaseException:
+            # The parts before it would make the next call fail.
+            for part in written:
+                shutil.rmtree(part, ignore_errors=True)
+            raise
     return written
 
 

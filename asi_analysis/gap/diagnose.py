@@ -139,6 +139,8 @@ def _groups(case: _Case) -> tuple[_Groups, list[str]]:
     held_out = _held_out(case)
     healthy, simulated = case.healthy, list[Group]()
     if case.plant == 'joint':
+        for run in case.runs:
+            plausibility.check_units_of_motion(run)
         groups, notes = _of_joint(case)
     elif case.plant == 'static':
         group, notes = static_group(case.runs, case.model, case.tolerance, held_out,

@@ -13,6 +13,7 @@ from scipy.signal import correlate
 
 from asi_actuator.model.load import FREE
 from asi_analysis.arrays import Array, Mask
+from asi_analysis.bags.exchange.column_mapping import UNITS_OF
 from asi_analysis.bags.run import SIGNALS, Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import MOTIONS, Free
@@ -78,6 +79,15 @@ def check_units(run: Run) -> None:
         if signal.name in run.signals() and signal.name != 'reference' and unit != signal.unit:
             raise InputError(f"{run.source}: {signal.name} is in {unit}, the actuator's in "
                              f'{signal.unit}; of a joint or drive: --plant joint')
+
+
+def check_units_of_motion(run: Run) -> None:
+    """Refuse a joint whose motion is neither in metres nor in radians: gravity needs an angle."""
+    for name in MOTIONS:
+        unit = run.unit(name)
+        if name in run.signals() and unit not in UNITS_OF[name]:
+            raise InputError(f'{run.source}: {name} is in {unit!r}; of a joint it takes '
+                             f'{" or ".join(UNITS_OF[name])}')
 
 
 def check_joint(group: Group) -> None:

@@ -50,7 +50,6 @@ from asi_analysis.gap.model.servo.identification import (
     DAMPINGS,
     Servo,
     begins_moving,
-    in_words,
     offset_of,
     settled,
     slow_servo,
@@ -177,8 +176,7 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
             recordings, of = ([settled(r, slow) for r in each] for each in (recordings, of))
         servos, steps, error = (identified_servo(of, extent.hidden) if identifiable else
                                 ([], None, SERVO_ERROR))
-        notes = [in_words(servos[0], runs[0].unit('reference'))] if servos else []
-        notes += [AMID] if any(map(begins_moving, recordings)) else []
+        notes = [AMID] if any(map(begins_moving, recordings)) else []
         return [_servo(recordings, tolerance, False, servos, steps, error)], notes
     if drive != 'force':
         return [_servo(recordings, tolerance, True)], []

@@ -149,9 +149,16 @@ def begins_against(reference: Array, values: Array, least: float) -> bool:
 
 
 def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Interval, ...]:
-    """Return intervals from a response to the later jump of the reference that causes it."""
+    """
+    Return intervals from a response to the later jump of the reference that causes it.
+
+    Before it the signal has settled: else it may still follow the jump before, as one with a
+    limited speed does.
+    """
     found = []
-    for begin, jump, end, low, high, spread in steps_of(reference, values):
+    steps = steps_of(reference, values)
+    settled = _as_usual(reference, values) if steps else values
+    for begin, jump, end, low, high, spread in steps:
         change = high - low
         share = (values[jump - 1] - low) / change if change else 0.0
         # Between other changes of the reference it may be at the next level by chance.
@@ -160,10 +167,17 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
             continue
         if _there_before(reference, values, begin, jump, end):
             found.append((float(time[begin]), float(time[jump])))
-        elif abs(change) > 3.0 * spread and share > BEFORE:
+        elif abs(change) > 3.0 * spread and share > BEFORE and abs(
+                low - settled[jump - 1]) < BEFORE * abs(settled[jump] - settled[jump - 1]):
             first = int(np.argmax((values[begin:jump] - low) / change > 0.1)) + begin
             found.append((float(time[first]), float(time[jump])))
     return tuple(found)
+
+
+def _as_usual(reference: Array, values: Array) -> Array:
+    """Return where the signal settles at each sample of its reference: a line through all."""
+    centred = reference - reference.mean()
+    return np.asarray(values.mean() + (centred @ values) / (centred @ centred) * centred)
 
 
 def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:

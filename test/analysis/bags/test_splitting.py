@@ -91,6 +91,16 @@ def test_a_part_that_exists_is_kept(tmp_path: Path) -> None:
         split_bag(bag, tmp_path / 'parts')
 
 
+def test_a_part_that_cannot_be_written_leaves_none_of_the_others(tmp_path: Path) -> None:
+    bag = written(tmp_path / 'bag', RESTARTED, RESTARTED)
+    kept = tmp_path / 'parts' / '3' / 'kept'
+    kept.parent.mkdir(parents=True)
+    kept.touch()
+    with pytest.raises(InputError, match='3 exists already'):
+        split_bag(bag, tmp_path / 'parts')
+    assert [each.name for each in (tmp_path / 'parts').iterdir()] == ['3'] and kept.exists()
+
+
 def test_a_topic_of_which_the_parts_are_not_known_is_told(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / 'other')
     for name, times in (('force', RESTARTED), ('velocity', np.arange(10, 20))):

@@ -166,7 +166,6 @@ def test_the_same_mean_torque_has_not_changed():
     assert asked(turning(1.0, 3), turning(1.0, 1), turning(1.0, 2)).verdict == 'no_gap'
 
 
-@pytest.mark.filterwarnings('ignore:the servo is of second order')
 def test_a_quicker_servo_is_named_and_the_same_one_has_not_changed():
     healthy, faster = (servo(pulsation=each).between(0.0, 6.0) for each in (40.0, 60.0))
     same, quicker = asked(healthy, healthy), asked(faster, healthy)

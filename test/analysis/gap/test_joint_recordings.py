@@ -11,6 +11,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joint_files import isaac
 from asi_analysis.gap.answer.joint_model import JointModel, moved_by
+from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.inference.plausibility import check_joint
 from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.recordings import (
@@ -132,3 +133,15 @@ def test_a_joint_with_a_wrapped_angle_is_diagnosed_as_without():
                       plant='joint')
     assert answer.verdict == 'no_gap'
     assert any('unwrapped' in note for note in answer.notes)
+
+
+@pytest.mark.parametrize(('units', 'commanded', 'refusal'), [
+    # The first was a KeyError; the second was answered, without gravity.
+    ({'reference': 'deg', 'position': 'deg'}, False, "reference is in 'deg'; it takes N, Nm, m"),
+    ({'position': 'deg', 'command': 'Nm'}, True, "position is in 'deg'; of a joint .* m or rad"),
+    ({'reference': 'rad', 'position': 'deg'}, False, "position is in 'deg'; of a joint .* rad")])
+def test_a_motion_in_another_unit_is_refused(units, commanded, refusal):
+    run = replace(turning(ANGLE), information={'signals': units})
+    run = run if commanded else replace(run, command_n=None, reference_n=1.01 * ANGLE)
+    with pytest.raises(InputError, match=f'^arm: {refusal}'):
+        diagnosis_of([run], {}, 'joint')

@@ -45,8 +45,7 @@ def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
     output += np.random.default_rng(3).normal(0.0, 1e-4, output.size)
     run = Run(0.008 * np.arange(driving.size), reference_n=driving, velocity_m_s=output,
               source='arm', information={'signals': {'reference': 'rad/s', 'velocity': 'rad/s'}})
-    with pytest.warns(InputWarning, match='servo is of second order: 3'):
-        diagnose([run], plant='joint')
+    assert 'as a servo of second order: 3.0' in ' '.join(diagnose([run], plant='joint').notes)
 
 
 @pytest.mark.parametrize(('share', 'none'), [(0.0, True), (0.007, True), (0.05, False)])

@@ -382,12 +382,3 @@ def response_of(servo: Servo, recording: Recording) -> Array:
     start, rate = recording.begins or (float(recording.output[0]), 0.0)
     # Of an offset there is no transient; `left_by` takes it off.
     return follow(servo, recording.input + offset_of(recording), start, recording.period_s, rate)
-
-
-def in_words(servo: Servo, unit: str) -> str:
-    """Return a servo that was identified, in words; unit: of its reference."""
-    limits = [f'{word} of at most {value:.4g} {unit}/{seconds}' for word, value, seconds in (
-        ('a rate', servo.rate, 's'), ('an acceleration', servo.acceleration, 's2')) if value]
-    return ', '.join((
-        f'the servo is of second order: {servo.pulsation / (2.0 * math.pi):.4g} Hz, damping '
-        f'ratio {servo.damping:.3g}', *limits, 'the initial guess of the fit'))
