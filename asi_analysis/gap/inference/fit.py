@@ -28,11 +28,7 @@ from asi_analysis.gap.model.effects import (
     fields_of,
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on
-from asi_analysis.gap.model.predict import (
-    error_of,
-    judged_error,
-    unexplained,
-)
+from asi_analysis.gap.model.predict import error_of, judged_error, unexplained
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
