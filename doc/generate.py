@@ -11,6 +11,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +23,7 @@ sys.path.insert(0, str(ROOT))   # the packages that stand here, not installed on
 OPENED: Final = ('asi_common', 'asi_actuator', 'asi_controller', 'asi_analysis')
 PACKAGES: Final = (*OPENED, 'asi_examiner')
 PARTS: Final = {ROOT / 'doc/explanation/architecture.md': ('rooms', 'imports'),
-                ROOT / 'doc/explanation/gap.md': ('effects',),
+                ROOT / 'doc/explanation/gap.md': ('effects', 'sizes'),
                 ROOT / 'doc/reference/topics.md': ('topics',),
          ROOT / 'CONTRIBUTING.md': ('imports',)}
 
@@ -57,15 +58,6 @@ def topics_table() -> str:
     rows = [f'| `{topic.name}` | {topic.type} | {topic.publisher} | {topic.content} |'
             for topic in TOPICS.values() if topic.publisher]
     return '\n'.join(['| topic | type | from | content |', '|---|---|---|---|', *rows])
-
-
-def effects_table() -> str:
-    """Return the effects that a diagnosis may name as a Markdown table."""
-    from asi_actuator.model.effects import EFFECTS
-    from asi_analysis.gap.model import forms
-    rows = [f'| `{effect.name}` | {effect.block.replace("_", " ")} | {effect.description} |'
-            for effect in EFFECTS if effect.name in forms.EFFECTS]
-    return '\n'.join(['| effect | block | in the real machine |', '|---|---|---|', *rows])
 
 
 def direct_imports() -> dict[str, set[str]]:
@@ -132,13 +124,16 @@ def with_parts(page: Path) -> str:
     for name in PARTS[page]:
         mark = f'<!-- {name}: written by python doc/generate.py -->\n'
         before, rest = text.split(mark)
-        part = WRITERS[name]()
+        part = writers()[name]()
         text = f'{before}{mark}\n{part}\n\n<!-- end -->{rest.split("<!-- end -->", 1)[1]}'
     return text
 
 
-WRITERS: Final = {'rooms': rooms_table, 'effects': effects_table, 'topics': topics_table,
-                  'imports': import_diagram}
+def writers() -> dict[str, Callable[[], str]]:
+    """Return what writes each generated part of a page."""
+    from doc.effect_tables import effects_table, sizes_table
+    return {'rooms': rooms_table, 'effects': effects_table, 'sizes': sizes_table,
+            'topics': topics_table, 'imports': import_diagram}
 
 
 def commands_page() -> str:

@@ -292,24 +292,30 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     # The gain was identified without a lag: with one it is biased towards zero.
     low, high = (0.1, 10.0) if identified else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
-    # If the motion is too slow to show the servo's dynamics, dry friction in its loop is a play.
-    own: dict[str, tuple[Variant, ...]] = {
-        'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,)}
-    own |= {'command_quantisation': (stepping(steps),)} if steps else {}
-    own |= forms_of(servos[0], recordings) if dynamics else {}
-    late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]
-    effects = {name: own[name] if name in own and not proportional else tuple(
-        form._replace(free=tuple(near(_of_a_loop(free, recordings, proportional), [*servos, *late])
-                                 for free in form.free))
-        for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
-        for name, forms in EFFECTS.items()}
-    effects |= OTHER_GAIN if gain_is_one else {}
+    effects = servo_effects(recordings, proportional, servos, steps) | (
+        OTHER_GAIN if gain_is_one else {})
     group = make_group(nominal, recordings, ('valve',), nuisance=(gain, *dynamics),
                        effects=effects, model_error=MODEL_ERROR if dynamics else model_error,
                        floor_by_best=True)
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
         [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
+
+
+def servo_effects(recordings: Sequence[Recording], proportional: bool = False,
+                  servos: Sequence[Servo] = (), steps: Steps | None = None) -> Effects:
+    """Return the candidate effects of a drive; the arguments are those of `_servo`."""
+    # If the motion is too slow to show the servo's dynamics, dry friction in its loop is a play.
+    own: dict[str, tuple[Variant, ...]] = {} if proportional else {
+        'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,)}
+    own |= {'command_quantisation': (stepping(steps),)} if steps else {}
+    own |= forms_of(servos[0], recordings) if servos else {}
+    late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]
+    return {name: own[name] if name in own else tuple(
+        form._replace(free=tuple(near(_of_a_loop(free, recordings, proportional), [*servos, *late])
+                                 for free in form.free))
+        for form in forms if not any(field.startswith('valve_flexure') for field in form.fields))
+        for name, forms in EFFECTS.items()}
 
 
 def _of_a_loop(free: Free, recordings: Sequence[Recording], proportional: bool) -> Free:

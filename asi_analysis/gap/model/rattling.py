@@ -213,7 +213,7 @@ def rattling_in(rattling: Rattling | None) -> list[Variant]:
     return [Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
                      Free('piston_share', 0.05, 0.9, (share,)), *damped, *weight), ('load',),
                     (('backlash_floating', 1.0),))
-            for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping'),))]
+            for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping', 'N s/m'),))]
 
 
 def rattling_mechanics(rattling: Rattling, springs: bool) -> dict[str, float]:

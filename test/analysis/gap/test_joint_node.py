@@ -78,3 +78,25 @@ def test_a_joint_is_not_taken_for_an_actuator():
                   information={'plant': 'joint'})
     with pytest.raises(InputError, match='bag: recorded with plant = joint: --plant joint'):
         asi.diagnose([run])
+
+
+@pytest.mark.parametrize(('changes', 'verdict'), [
+    ({'drive.warm_loss': 0.3, 'drive.warm_time': 5.0}, 'unknown'),
+    ({'drive.force_rate_limit': 8.0}, 'unknown'), ({'drive.force_limit': 1.2}, 'unknown'),
+    pytest.param({'ripple.force': 0.2, 'ripple.period': 0.3}, 'unknown', marks=pytest.mark.slow),
+    pytest.param({'drive.deadband': 0.2}, 'unknown', marks=pytest.mark.slow),
+    pytest.param({'command_path.quantum': 0.4}, 'unknown', marks=pytest.mark.slow),
+    ({'position_sensor.lag_time': 0.02}, 'valve_lag'),
+    ({'drive.bias': 0.2}, 'no_gap'), ({'position_sensor.offset': 0.3}, 'no_gap')])
+def test_what_the_diagnosis_has_no_word_for_is_unknown(changes: dict[str, Value], verdict: str):
+    """As doc/how_to/simulate_a_joint.md says."""
+    time_s, rng = 0.005 * np.arange(3200), np.random.default_rng(1)
+    waves = sum(np.sin(2.0 * np.pi * f * time_s + rng.uniform(0.0, 2.0 * np.pi))
+                for f in np.arange(0.1, 2.5, 0.15))
+    command = 2.0 * waves / np.abs(waves).max()
+    moved = joint.simulate(as_record({
+        'load.mass': 0.05, 'load.damping': 0.1, 'load.stiffness': 1.0,
+        'position_sensor.noise': 1e-5, **changes}), command, 0.005)
+    run = asi.Run(time_s, command_n=command, position_m=moved.position, source='arm',
+                  information={'signals': {'command': 'Nm', 'position': 'rad'}})
+    assert asi.diagnose([run], plant='joint').verdict == verdict
