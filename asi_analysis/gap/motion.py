@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -68,6 +68,10 @@ class Motion:
     def inner(self) -> slice:
         """Return the samples of the recording within those of the extended motion."""
         return slice(self.pad, -self.pad)
+
+    def without_halts(self) -> 'Motion':
+        """Return a motion of which the force is not that of its recording."""
+        return replace(self, halts=np.zeros_like(self.halts))
 
     @property
     def edge_hz(self) -> float:

@@ -116,4 +116,5 @@ def simulated(group: Group, name: str) -> tuple[Recording, float, float]:
         return prepare([run], 'position')[0], size, frequency
     force = np.asarray(np.gradient(position, known.period_s))   # only the motion is used
     run = Run(time, position_m=position, force_n=force, source=name)
-    return replace(prepare([run], 'force')[0], taken=known.taken), size, frequency
+    made, = prepare([run], 'force')
+    return replace(made, taken=known.taken, motion=made.moved.without_halts()), size, frequency

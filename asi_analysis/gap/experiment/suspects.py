@@ -123,9 +123,10 @@ def size_of(suspect: Suspect, groups: Sequence[Group]) -> np.void:
 def _recorded(group: Group, p: np.void) -> Group:
     """Return a group whose recordings are the predictions of a record, without noise."""
     def recorded(r: Recording) -> Recording:
-        made = predict(r, group.channels[0], p)
-        return replace(r, force_judged=made) if group.channels == ('load',) else replace(
-            r, valve_position=made)
+        if group.channels != ('load',):
+            return replace(r, valve_position=predict(r, group.channels[0], p))
+        r = replace(r, motion=r.moved.without_halts())
+        return replace(r, force_judged=predict(r, 'load', p))
 
     return replace(group, recordings=[recorded(r) for r in group.recordings])
 

@@ -28,7 +28,7 @@ from asi_analysis.gap.model.effects import (
     fields_of,
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on
-from asi_analysis.gap.model.predict import error_of, judged_error, unexplained
+from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
@@ -82,7 +82,7 @@ class Fitted(NamedTuple):
 
 def _residual(group: Group, channel: str, p: np.void) -> Array:
     """Return the residual of a channel on the fitted parts, divided by its rms unit."""
-    parts = [error_of(recording, channel, p)[recording.fit]
+    parts = [(measured(recording, channel) - predict(recording, channel, p))[recording.fit]
              for recording in group.recordings if recording.fit.any()]
     return np.concatenate(parts) / math.sqrt(group.fit_unit(channel))
 

@@ -721,13 +721,10 @@ def drive_inverse(omega: Array, p: np.void) -> Complex:
     s = 1j * omega
     late = p['drive_hold'] + p['drive_delay']
     response = (np.exp(s * late) if late != 0.0 else np.ones_like(s)) / (1.0 - p['drive_loss'])
-    return response if p['drive_lag'] == 0.0 else response * lag_inverse(omega, p)
-
-
-def lag_inverse(omega: Array, p: np.void) -> Complex:
-    """Return the inverse of the frequency response of the lag of a joint's drive."""
-    lag, split = 1j * omega * p['drive_lag'], p['drive_lag_split']
-    return np.asarray((1.0 + lag * (1.0 - split)) * (1.0 + lag * split))
+    if p['drive_lag'] != 0.0:
+        split = p['drive_lag_split']
+        response *= (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split)
+    return response
 
 
 def impedance(omega: Array, p: np.void) -> Complex:

@@ -108,7 +108,7 @@ LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), '
                       ('valve',), (('loop_behind', 1.0),))
 # A drive whose measured force is another multiple of its command than the units say.
 OTHER_GAIN: Effects = {'drive_gain': (Variant((Free(
-    'valve_characteristic_gain', 0.1, 10.0, (0.5, 2.0), 'nominal'),), ('valve',)),)}
+    'valve_characteristic_gain', 0.25, 4.0, (0.5, 2.0), 'nominal'),), ('valve',)),)}
 # Delay and lag of a slow machine's position loop: ten times those of a valve, s; or in samples.
 LONGEST, LONGEST_SAMPLES = 1.0, 20
 LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
@@ -209,10 +209,11 @@ def joint_groups(runs: Sequence[Run], given: Mapping[str, Value], tolerance: flo
     groups = []
     if all({'command', 'force'} <= run.signals().keys()
            and run.unit('command') not in ('m', 'rad') for run in runs):
-        # With a known mass the units are to be trusted: of equal ones, the gain is 1.
-        one = 'load.mass' in given and all(run.unit('command') == run.unit('force')
-                                           for run in runs)
-        groups.append(_servo(prepare(runs, 'drive', held_out), tolerance, True, gain_is_one=one))
+        driven, (other,) = prepare(runs, 'drive', held_out), OTHER_GAIN['drive_gain'][0].free
+        # With a known mass the units are to be trusted: of equal ones, the gain is 1. Or a gear's.
+        one = 'load.mass' in given and other.low < _gain(driven) < other.high and all(
+            run.unit('command') == run.unit('force') for run in runs)
+        groups.append(_servo(driven, tolerance, True, gain_is_one=one))
     force_measured = all(run.force_n is not None for run in runs)
     holds = extent.hidden and not turns and stiffness is None and all(
         run.position_m is not None for run in runs)
@@ -325,7 +326,7 @@ def _of_a_loop(free: Free, recordings: Sequence[Recording], proportional: bool) 
     proportional: of a drive, whose output may have another unit than its command.
     """
     if free.field == 'command_bias' and not proportional:
-        found = float(np.mean([offset_of(r) for r in recordings]))
+        found = float(np.mean([offset_of(r) for r in recordings if r.fit.any()]))
         most = free.high * scales(recordings)['command'] + 2.0 * abs(found)
         return Free(free.field, -most, most, (found,), '', free.unit)
     if free.field not in ('command_delay', 'valve_lag'):

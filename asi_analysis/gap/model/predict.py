@@ -126,7 +126,7 @@ def propagated_noise(recording: Recording, channel: str, p: np.void) -> float:
         omega = np.maximum(motion.omega, motion.omega[1])
         one, none = np.ones_like(omega), np.zeros_like(omega)
         moved = _linear(omega, one, one / (1j * omega), none, p) * _reading(
-            omega, p) / blocks.lag_inverse(omega, p) * motion.judge
+            omega, p) * motion.judge
         return float(np.mean(np.abs(moved) ** 2 * motion.noise))
     rng = np.random.default_rng(0)
     noisy: dict[str, Any] = {}
@@ -252,7 +252,9 @@ def _balance(recording: Recording, motion: Motion, p: np.void, weight: Array, ta
 
     nan where it moves. weight, taken: see `_weight`.
     """
-    if p['friction_level'] == 0.0 or p['friction_inside'] > 0.5 or not motion.halts.any():
+    rigid = p['compliance'] == 0.0 and p['backlash'] == 0.0   # else the load goes on moving
+    if (p['friction_level'] == 0.0 or p['friction_inside'] > 0.5 or not rigid
+            or not motion.halts.any()):
         return np.empty(0)
     assert recording.force is not None
     mass, damping, stiffness = blocks.load_constants(p)
@@ -340,7 +342,7 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
 
     Noise of the simulator's channels is made white (Ljung, System Identification, 2nd ed., 7.3).
     """
-    error = error_of(recording, channel, p)
+    error: Array = measured(recording, channel) - predict(recording, channel, p)
     colour = recording.colour.get('valve_position' if channel == 'valve' else channel)
     if simulator.of_simulator(p):
         mean, factor = recording.uneven_mean, recording.uneven_delay
@@ -354,22 +356,8 @@ def judged_error(recording: Recording, channel: str, p: np.void) -> Array:
 
 def unexplained(recording: Recording, channel: str, p: np.void) -> Array:
     """Return what a prediction leaves of a channel's output, n samples, as it is compared."""
-    return compared(recording, channel, error_of(recording, channel, p))
-
-
-def error_of(recording: Recording, channel: str, p: np.void) -> Array:
-    """
-    Return the error of a prediction, n samples in the channel's unit.
-
-    Behind the lag of a joint's drive: before it, the prediction has the noise of the motion times
-    the inverse of the lag, and a lag would fit worse than a delay for that alone.
-    """
-    error: Array = measured(recording, channel) - predict(recording, channel, p)
-    if channel != 'load' or p['drive_lag'] == 0.0:
-        return error
-    motion = recording.moved
-    spectrum = np.fft.rfft(extended(error, motion.pad)) / blocks.lag_inverse(motion.omega, p)
-    return np.fft.irfft(spectrum, motion.velocity.size)[motion.inner]
+    return compared(recording, channel, measured(recording, channel)
+                    - predict(recording, channel, p))
 
 
 def compared(recording: Recording, channel: str, signal: Array) -> Array:

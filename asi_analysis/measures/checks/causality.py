@@ -176,8 +176,9 @@ def _answered_before(time: Array, reference: Array, values: Array) -> tuple[Inte
 
 def _as_usual(reference: Array, values: Array) -> Array:
     """Return where the signal settles at each sample of its reference: a line through all."""
-    centred = reference - reference.mean()
-    return np.asarray(values.mean() + (centred @ values) / (centred @ centred) * centred)
+    known = np.isfinite(values)
+    slope, level = np.polyfit(reference[known], values[known], 1)
+    return np.asarray(level + slope * reference)
 
 
 def _there_before(reference: Array, values: Array, begin: int, jump: int, end: int) -> bool:

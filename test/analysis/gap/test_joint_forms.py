@@ -210,8 +210,7 @@ def test_friction_of_a_load_that_halts_for_a_moment_balances_the_force():
         return float(np.std(unexplained(each, 'load', p)[each.valid]))
 
     motion = recording.moved
-    moving = replace(recording, motion=replace(motion, halts=np.zeros_like(motion.halts)),
-                     cache={})
+    moving = replace(recording, motion=motion.without_halts(), cache={})
     assert 0.02 < motion.halts.mean() < 0.2
     assert left(recording) < 0.4 * left(moving)
 
@@ -236,3 +235,14 @@ def test_a_drive_that_makes_another_force_of_its_command(gain: float, verdict: t
     if verdict:
         assert found.best(found.groups[0]).fitted.values[
             'valve_characteristic_gain'] == pytest.approx(gain, rel=0.01)
+
+
+def test_a_gear_between_command_and_force_is_no_gain_of_the_drive():
+    command = 3.0 * REFERENCE
+    rng = np.random.default_rng(2)
+    position = np.cumsum(np.cumsum(command)) * PERIOD_S ** 2
+    run = Run(TIME_S, command_n=command, source='gear', position_m=position - position.mean(),
+              force_n=10.0 * command + rng.normal(0.0, 0.2, command.size))
+    groups, _ = joint_groups([run], {'load.mass': 10.0}, 0.2, [False], 'force')
+    assert 'drive_gain' not in groups[0].effects
+    assert groups[0].nominal['valve_characteristic_gain'] == pytest.approx(10.0, rel=0.01)

@@ -121,6 +121,15 @@ def test_an_offset_of_any_size_is_a_bias(offset: float):
         offset, abs=1e-3)
 
 
+def test_a_bias_is_found_where_a_recording_is_held_out():
+    # The mean of the samples to fit on, of which that recording has none, was nan.
+    run = run_of()
+    assert run.position_m is not None
+    biased = replace(run, position_m=run.position_m + 0.3)
+    found = diagnosis_of([biased, biased], {}, 'joint', held_out=[False, True])
+    assert found.verdict == ('valve_bias',)
+
+
 @jit
 def simulated_with_limits(reference, friction, rate, acceleration, out):
     """Put into `out` the position of a servo of 6 Hz; its motor has limits, and friction."""

@@ -337,7 +337,8 @@ def _lagging(delayed: Servo, recordings: Sequence[Recording], one_pole: Servo | 
 
 def offset_of(recording: Recording) -> float:
     """Return by how much a servo's output is above its reference in the mean."""
-    return float(np.mean((recording.output - recording.input)[recording.known]))
+    used = recording.known if recording.known.any() else recording.valid   # of one held out
+    return float(np.mean((recording.output - recording.input)[used]))
 
 
 def begins_moving(recording: Recording) -> bool:
