@@ -238,11 +238,15 @@ def _load(recording: Recording, p: np.void) -> Array:
     inner = np.fft.irfft(total, extra.size)[motion.inner]
     if p['compliance'] > 0.0 and (p['swing_cosine'] != 0.0 or p['swing_sine'] != 0.0):
         inner = inner + judged(blocks.swing(recording.time_s, p, slope), motion)
-    if not motion.measured:   # the offset is outside the band
-        return inner
-    time = recording.time_s
-    return inner + p['force_sensor_offset'] + p['sensor_offset'] + blocks.drift(
-        time, blocks.parts(p)[1])
+    return inner + _offset(recording, p)
+
+
+def _offset(recording: Recording, p: np.void) -> Array | float:
+    """Return what the force sensor reads too much (N): its offset and drift."""
+    if not recording.moved.measured:   # they are outside the band
+        return 0.0
+    return np.asarray(p['force_sensor_offset'] + p['sensor_offset'] + blocks.drift(
+        recording.time_s, blocks.parts(p)[1]))
 
 
 def _balance(recording: Recording, motion: Motion, p: np.void, weight: Array, taken: Array
@@ -258,7 +262,7 @@ def _balance(recording: Recording, motion: Motion, p: np.void, weight: Array, ta
         return np.empty(0)
     assert recording.force is not None
     mass, damping, stiffness = blocks.load_constants(p)
-    sensed = np.fft.rfft(extended(recording.force - p['sensor_offset'], motion.pad) + taken)
+    sensed = np.fft.rfft(extended(recording.force - _offset(recording, p), motion.pad) + taken)
     force = np.fft.irfft(motion.smooth * sensed / _reading(motion.omega, p), taken.size)
     moving = (mass * motion.acceleration + damping * motion.velocity
               + stiffness * motion.position + weight)
