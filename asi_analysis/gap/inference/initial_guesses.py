@@ -338,7 +338,7 @@ def _response(recording: Recording, p: np.void, count: int) -> Complex:
     step = np.zeros((2, _response_samples(recording)))
     step[0, 1:] = 1.0
     blocks.valve(step[0], *blocks.parts(linear), recording.period_s, recording.sub_steps(1e-3),
-                 step[1])
+                 step[1], blocks.AT_REST)
     return np.fft.rfft(np.diff(step[1], append=step[1, -1]), count)
 
 

@@ -131,6 +131,8 @@ EFFECT_FIELDS = (
 EFFECT_DTYPE = np.dtype([(name, np.float64) for name in EFFECT_FIELDS])
 PLANT_DTYPE = np.dtype(ACTUATOR_DTYPE.descr + EFFECT_DTYPE.descr)
 
+# No default of an argument: numba does not find code of a default that is nan in its cache.
+AT_REST = (math.nan, 0.0)
 CONTACT_DAMPING = 0.8   # damping ratio of a contact: hardly any rebound
 PLAYS = 4         # elements of a hysteresis, and of a friction
 # The quantiles 1/8, 3/8, 5/8, 7/8 of a normal distribution are about -3, -1, 1, 3 times this.
@@ -175,12 +177,12 @@ def held_command(command, position, step):
 
 
 @jit
-def valve(command, p, e, period, count, out, begins=(math.nan, 0.0)):
+def valve(command, p, e, period, count, out, begins):
     """
     Put the valve position (m) at each sample into `out`.
 
     command: n valve commands, N, each held for `period` s; `count` sub-steps per sample; begins:
-    position and rate of a servo, nan: at rest where its first command is.
+    position and rate of a servo, or AT_REST, where its first command is.
     """
     h = period / count
     wait = e.command_delay / period

@@ -188,7 +188,7 @@ def _valve(recording: Recording, p: np.void) -> Array:
     else:   # a slow servo allows longer ones
         longest = max(longest, SUB_STEP / (2.0 * np.pi * p['valve_flexure_natural_frequency']))
     blocks.valve(recording.command, *blocks.parts(p), recording.period_s,
-                 recording.sub_steps(longest), out, recording.begins or (np.nan, 0.0))
+                 recording.sub_steps(longest), out, recording.begins or blocks.AT_REST)
     return out
 
 

@@ -31,9 +31,9 @@ def test_lost_motion_is_behind_the_servo():
     p['valve_characteristic_full_opening'] = 1.0
     p['valve_lag'] = 0.05
     lagged, lost = np.empty((2, TIME_S.size))
-    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lagged)
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lagged, blocks.AT_REST)
     p['loop_width'], p['loop_behind'] = 0.2, 1.0
-    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lost)
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 1, lost, blocks.AT_REST)
     play = lagged.copy()
     for k in range(1, play.size):
         play[k] = min(max(play[k - 1], lagged[k] - 0.2), lagged[k] + 0.2)

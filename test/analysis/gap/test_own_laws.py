@@ -231,7 +231,7 @@ def test_valve_of_the_block_wise_fits_is_the_simulators(values):
     period, time = 2e-4, 2e-4 * np.arange(3000)
     command = 200.0 * np.sin(30.0 * time) + 60.0 * np.sin(145.0 * time + 1.0)
     valve = np.empty(time.size)
-    blocks.valve(command, *blocks.parts(p), period, 8, valve)
+    blocks.valve(command, *blocks.parts(p), period, 8, valve, blocks.AT_REST)
     simulated = simulate(as_record(values), command, period).valve_position_m
     assert np.std((valve - simulated)[1000:]) < 1e-3 * np.std(simulated)
 

@@ -157,7 +157,7 @@ def in_a_block(frequency: float, damping: float, **servo: float) -> np.ndarray:
     for name, value in servo.items():
         p[f'servo_{name}'] = value
     found = np.empty(REFERENCE.size)
-    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 7, found)
+    blocks.valve(REFERENCE, *blocks.parts(p), PERIOD_S, 7, found, blocks.AT_REST)
     return found
 
 
