@@ -85,7 +85,7 @@ def _overlay(diagnosis: Diagnosis, answer: Mapping[str, Any]) -> Figure:
     power = (real - models['nominal']) ** 2 * recording.report
     if answer['verdict'] != NO_GAP:
         models['improved model'] = predict(recording, channel,
-                                                diagnosis.best(weighed).fitted.record)
+                                           diagnosis.best(weighed).fitted.record)
     # The section with the largest error of the nominal model.
     rate = float(np.std(np.diff(real)) / np.std(real)) / recording.period_s   # rad/s
     length_s = min(max(WAVES * 2.0 * math.pi / rate, SHORTEST_S), LONGEST_S)
