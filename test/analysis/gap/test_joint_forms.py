@@ -246,3 +246,34 @@ def test_a_gear_between_command_and_force_is_no_gain_of_the_drive():
     groups, _ = joint_groups([run], {'load.mass': 10.0}, 0.2, [False], 'force')
     assert 'drive_gain' not in groups[0].effects
     assert groups[0].nominal['valve_characteristic_gain'] == pytest.approx(10.0, rel=0.01)
+
+
+def test_a_small_saturation_of_a_clean_drive_is_found():
+    # It leaves less of the force than the assumed model error of a drive, 3 %.
+    rng = np.random.default_rng(4)
+    command = 3.0 * REFERENCE
+    answered = np.concatenate([command[:1], command[:-1]])   # in the sample after it
+    force = np.clip(answered, -9.6, 9.6)
+    run = Run(TIME_S, command_n=command, source='drive',
+              force_n=force + rng.normal(0.0, 0.004, force.size))
+    assert 0.005 < np.std(force - answered) / np.std(command) < 0.03
+    found = diagnosis_of([run], {}, 'joint')
+    assert found.verdict == ('valve_saturation',)
+    assert found.joined[found.verdict] > 0.9
+
+
+def test_a_rough_command_is_no_noise():
+    # Friction of 2 % of a command that a noisy velocity makes rough was no gap, 0.5.
+    rng = np.random.default_rng(5)
+    command = 20.0 * REFERENCE + rng.normal(0.0, 1.0, TIME_S.size)
+    position, place, speed = np.empty(command.size), 0.0, 0.0
+    for k, push in enumerate(command):   # 2 kg, 30 Ns/m, 0.6 N of friction
+        position[k] = place
+        for _ in range(40):
+            speed += 0.025 * PERIOD_S / 2.0 * (
+                push - 30.0 * speed - 0.6 * math.tanh(speed / 1e-3))
+            place += 0.025 * PERIOD_S * speed
+    run = Run(TIME_S, command_n=command, source='slide',
+              position_m=position + rng.normal(0.0, 1e-6, command.size))
+    found = diagnosis_of([run], {}, 'joint')
+    assert found.verdict == ('coulomb_friction',)
