@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -12,7 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import coherence, welch
 
 from asi_analysis.arrays import Array, Complex, Mask
-from asi_analysis.gap.sampling import SHARED, noise_of
+from asi_analysis.gap.sampling import SHARED
 
 PAD_S = 0.6   # mirrored samples at both ends before a Fourier transform; their outer half fades
 # The motion is low-pass filtered at this multiple of the compared band, or at the frequency where
@@ -211,13 +212,13 @@ def velocity_over_derivative(position: Array, velocity: Array, period: float) ->
     return float(smooth @ smooth / (rough @ smooth))
 
 
-def motion_of(position: Array | None, velocity: Array | None, band: float,
-            period: float) -> tuple[Motion | None, Array | None]:
+def motion_of(position: Array | None, velocity: Array | None, noises: Mapping[str, float],
+              band: float, period: float) -> tuple[Motion | None, Array | None]:
     """
     Return the motion of the load from its measured position, velocity or both.
 
-    And the velocity (m/s) fused from both; None if the velocity was not measured. band: frequency
-    (Hz) up to which the motion is compared.
+    And the velocity (m/s) fused from both; None if the velocity was not measured. noises: standard
+    deviation of each; band: frequency (Hz) up to which the motion is compared.
     """
     source = velocity if velocity is not None else position
     if source is None:
@@ -232,13 +233,13 @@ def motion_of(position: Array | None, velocity: Array | None, band: float,
         line = np.linspace(position[0], position[-1], position.size)
         v = 1j * omega * np.fft.rfft(extended(position - line, pad))
         v[0] = count * (line[1] - line[0]) / period
-        noise = (omega * noise_of(position)) ** 2
+        noise = (omega * noises['position']) ** 2
     else:
         v = np.fft.rfft(extended(velocity, pad, 'even'))
-        noise = np.full_like(omega, noise_of(velocity) ** 2)
+        noise = np.full_like(omega, noises['velocity'] ** 2)
         if position is not None:
             # Weighted by their noise: slow motion from the position, fast from the velocity.
-            slow = noise / ((omega * noise_of(position)) ** 2 + noise + 1e-300)
+            slow = noise / ((omega * noises['position']) ** 2 + noise + 1e-300)
             v += slow * np.fft.rfft(extended(np.gradient(position, period) - velocity, pad,
                                              'even'))
             noise = (1.0 - slow) * noise
@@ -270,12 +271,13 @@ def judged(values: Array, motion: Motion) -> Array:
     return np.fft.irfft(spectrum, count)[motion.inner]
 
 
-def stands(position: Array, period: float, band: float) -> Mask:
+def stands(position: Array, noise: float, period: float, band: float) -> Mask:
     """
     Return the samples in which a joint stands still, with half a period of the band (Hz) around.
 
     Static friction then balances any force, which the motion does not determine. No samples, if
-    the encoder is too coarse, or the noise too large, to tell a standstill from slow motion.
+    the encoder is too coarse, or the noise (standard deviation) too large, to tell a standstill
+    from slow motion.
     """
     moves = np.diff(position)
     still = np.zeros(position.size, bool)
@@ -283,7 +285,6 @@ def stands(position: Array, period: float, band: float) -> Mask:
     if not steps.size:
         return still
     if np.unique(position).size > SHARED * position.size:    # no encoder: values hardly repeat
-        noise = noise_of(position)
         within = WITHIN * noise
         slow = SLOW * math.sqrt(max(float(np.var(moves)) - 2.0 * noise ** 2, 0.0)) / period
         if LONGEST_S * slow <= within:

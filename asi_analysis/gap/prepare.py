@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -204,34 +204,45 @@ def _with_centred_origin(signals: dict[str, Array], drive: str, run: Run) -> Non
         signals['position'] = signals['position'] - signals['position'].mean()
 
 
-def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | None]:
-    """
-    Return the period (s) and the signals that move, under the names of the diagnosis.
+class _Signals(NamedTuple):
+    """The signals of a run that move, under the names of the diagnosis, `period_s` apart."""
 
-    And the position (m) at which a piston starts at rest, from which its position then counts.
-    """
-    period, signals = uniform(run)
+    period_s: float
+    time_s: Array
+    moving: dict[str, Array]
+    noise: dict[str, float]    # standard deviation, by signal
+    origin_m: float | None     # at which a piston starts at rest: its position counts from there
+
+
+def _sources(run: Run, drive: str) -> dict[str, str]:
+    """Return which signal of a run the diagnosis knows under which name."""
+    if drive == 'force':
+        return {'force': 'command' if run.force_n is None else 'force',
+                'position': 'position', 'velocity': 'velocity'}
+    if drive == 'position':
+        return {'command': 'reference', 'valve_position': run.controlled()}
+    if drive == 'drive':
+        return {'command': 'command', 'valve_position': 'force'}
+    return {name: name for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
+
+
+def _signals(run: Run, drive: str) -> _Signals:
+    """Return the signals of a run that move; raises InputError if there is nothing to compare."""
+    period, time, signals, faded = uniform(run, by_rows=drive == 'drive')
     thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
     if drive == 'force' and thinned > 1:
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
                    for name, values in signals.items()}
-        period *= thinned
+        period, time = period * thinned, time[::thinned]
     origin = _origin(signals) if drive == 'valve' else None
     if origin is not None:
         signals['position'] = signals['position'] - origin
     _with_centred_origin(signals, drive, run)
-    named = {name: signals.get(name)
-             for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
-    if drive == 'force':
-        driving = named['command'] if named['force'] is None else named['force']
-        named = {**named, 'force': driving, 'command': None, 'valve_position': None}
-    elif drive == 'position':
-        named = {'command': signals.get('reference'),
-                 'valve_position': signals.get(run.controlled())}
-    elif drive == 'drive':
-        named = {'command': named['command'], 'valve_position': named['force']}
-    moving = {name: values for name, values in named.items()
-              if values is not None and np.ptp(values) > 0.0}
+    if drive == 'drive':
+        signals['command'] = _as_answered(signals['command'], signals['force'])
+    sources = _sources(run, drive)
+    moving = {name: signals[source] for name, source in sources.items()
+              if source in signals and np.ptp(signals[source]) > 0.0}
     if {'position', 'velocity'} <= set(moving) and not agree(
             moving['position'], moving['velocity'], period):
         del moving['velocity']   # it belongs to another motion
@@ -241,7 +252,26 @@ def _signals(run: Run, drive: str) -> tuple[float, dict[str, Array], float | Non
                          'follows from it, or a force and a motion; signals that move here: '
                          + (', '.join(name for name, values in signals.items()
                                       if np.ptp(values) > 0.0) or 'none'))
-    return period, moving, origin
+    noise = {name: noise_of(values) * faded[sources[name]] for name, values in moving.items()}
+    return _Signals(period, time, moving, noise, origin)
+
+
+def _as_answered(command: Array, force: Array) -> Array:
+    """
+    Return the command of a drive such that its force answers it one sample later.
+
+    A log may have a command in the row of the force that answers it: a convention, not a delay.
+    """
+    if not np.ptp(command):
+        return command
+    earlier = np.append(command[1:], command[-1])
+
+    def left(held: Array) -> float:
+        """Return what the gain of a drive that holds this command leaves."""
+        before, after = held[:-1] - held.mean(), force[1:] - force.mean()
+        return float(np.sum((after - before * (before @ after) / (before @ before)) ** 2))
+
+    return earlier if left(earlier) < left(command) else command
 
 
 def shared_band(runs: Sequence[Run], drive: str) -> float:
@@ -253,18 +283,18 @@ def shared_band(runs: Sequence[Run], drive: str) -> float:
     return _band([_signals(run, drive) for run in runs], drive, RIGID_BAND_HZ)
 
 
-def _band(read: Sequence[tuple[float, Mapping[str, Array], object]], drive: str, most_hz: float
-          ) -> float:
+def _band(read: Sequence[_Signals], drive: str, most_hz: float) -> float:
     """Return the frequency (Hz) up to which motion and force of all recordings are compared."""
     bands = [most_hz] if drive == 'force' else []
-    for period, moving, _ in read:
-        motion = moving.get('velocity', moving.get('position'))
-        if motion is None or 'force' not in moving:
+    for period, _, moving, noise, _ in read:
+        name = 'velocity' if 'velocity' in moving else 'position'
+        if name not in moving or 'force' not in moving:
             continue
+        motion = moving[name]
         bands.append(common_band(motion, moving['force'], period))
         if drive == 'force':
             # Above, a controller amplifies the noise of the motion: coherent with the force.
-            bands.append(max(steady_band(motion, noise_of(motion), period), LEAST_BAND_HZ))
+            bands.append(max(steady_band(motion, noise[name], period), LEAST_BAND_HZ))
     return min(bands, default=most_hz)
 
 
@@ -283,19 +313,20 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
     band = _band(read, drive, band_hz)
     recordings: list[Recording] = []
     whole = held_out if held_out is not None and any(held_out) else None
-    for number, (run, (period, moving, origin)) in enumerate(zip(runs, read, strict=True)):
+    for number, (run, signals) in enumerate(zip(runs, read, strict=True)):
+        period, time, moving, noise, origin = signals
         motion, velocity = None, moving.get('velocity')
         if 'force' in moving:
-            motion, velocity = motion_of(moving.get('position'), velocity, band, period)
+            motion, velocity = motion_of(moving.get('position'), velocity, noise, band, period)
         force = moving.get('force')
         driving = next(iter(moving.values()))
         fit, held = (split(driving.size, period) if drive == 'valve' else
                      balanced_split(driving, period))
-        valid = recorded(run, drive, period, fit.size)
+        valid = recorded(run, drive, time)
         if motion is not None and not motion.measured:
             valid = valid & ~ends(fit.size, period)
         if drive == 'force' and motion is not None and 'position' in moving:
-            valid = valid & ~stands(moving['position'], period, band)
+            valid = valid & ~stands(moving['position'], noise['position'], period, band)
         # Clipped samples are not measurements; a valve, however, may rest against a stop.
         for name in (MEASURED - {'valve_position'}) & moving.keys():
             valid = valid & ~clipped(moving[name])
@@ -310,7 +341,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
             raw_velocity=moving.get('velocity'), raw_position=moving.get('position'),
             motion=motion, at_rest=_begins_at_rest(moving, period), origin_m=origin,
             force_judged=judged(force, motion) if force is not None and motion else None,
-            noise={name: noise_of(values) for name, values in moving.items()},
+            noise=noise,
             fit=fit, held_out=held, report=report,
             number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
     if not all(any(part(each).any() for each in recordings)

@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -124,8 +125,37 @@ def _bridged(name: str, values: Array, source: str) -> Array:
     return np.interp(index, index[~missing], values[~missing])
 
 
-def uniform(run: Run) -> tuple[float, dict[str, Array]]:
-    """Return the period (s) and the signals at equal distances in time."""
+def _held(time: Array, values: Array, even: Array) -> Array:
+    """
+    Return the mean, from each of other times to the next, of a signal that holds its values.
+
+    The first value of each such interval would come early or late by up to a sample.
+    """
+    total = np.append(0.0, np.cumsum(values[:-1] * np.diff(time)))
+    return np.append(np.diff(np.interp(even, time, total)) / np.diff(even), values[-1])
+
+
+class Uniform(NamedTuple):
+    """
+    The signals of a run, `period_s` apart.
+
+    time_s: of each sample; faded: by signal, `noise_of` what was recorded over that of what is
+    here, since interpolation attenuates noise, but only the fast part of it.
+    """
+
+    period_s: float
+    time_s: Array
+    signals: dict[str, Array]
+    faded: dict[str, float]
+
+
+def uniform(run: Run, by_rows: bool = False) -> Uniform:
+    """
+    Return the signals of a run at equal distances in time.
+
+    by_rows: each sample is a row, at whatever time, and only lost ones are interpolated. That
+    suits what answers row by row, and steps between two of them.
+    """
     time = run.time_s
     if len(run) < 2 or run.duration_s < SHORTEST_S * (1.0 - 1e-6):
         raise InputError(f'{run.source}: too short for a diagnosis: {run.duration_s:.2f} s, at '
@@ -135,33 +165,37 @@ def uniform(run: Run) -> tuple[float, dict[str, Array]]:
         raise InputError(f'{run.source}: time does not rise at sample {int(back[0]) + 2}')
     check_time(time, run.source)
     check_size(run)
-    steps = round((time[-1] - time[0]) / run.period_s)
-    period = float((time[-1] - time[0]) / steps)
-    even = time[0] + period * np.arange(steps + 1)
+    length = float(time[-1] - time[0])
+    if by_rows:
+        numbers = np.cumsum(np.maximum(np.rint(np.diff(time, prepend=time[0]) / run.period_s), 1))
+        even = np.interp(np.arange(numbers[0], numbers[-1] + 1.0), numbers, time)
+    else:
+        even = np.linspace(time[0], time[-1], round(length / run.period_s) + 1)
+    period = length / (even.size - 1)
     # If no sample is missing and each is late by less than a period, they are used unchanged.
-    complete = len(run) == steps + 1 and np.abs(time - even).max() < period
-    signals = {}
+    complete = len(run) == even.size and np.abs(time - even).max() < period
+    signals, faded = {}, {}
     for name, values in run.signals().items():
         whole = _bridged(name, np.asarray(values, float), run.source)
         if complete:
             signals[name] = whole
-        elif name in ('command', 'reference'):   # held from sample to sample
-            before = np.searchsorted(time, even + 1e-6 * period, side='right') - 1
-            signals[name] = whole[np.clip(before, 0, None)]
+        elif name in ('command', 'reference'):
+            signals[name] = _held(time, whole, even)
         else:
             signals[name] = np.interp(even, time, whole)
-    return period, signals
+            faded[name] = max(noise_of(whole) / (noise_of(signals[name]) or math.inf), 1.0)
+    return Uniform(period, even, signals, dict.fromkeys(signals, 1.0) | faded)
 
 
-def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
+def recorded(run: Run, drive: str, even: Array) -> Mask:
     """
-    Return at which of `count` samples, `period` s apart, no signal has a long gap.
+    Return at which times (s, equally spaced) no signal has a long gap.
 
     Interpolation over a long gap holds no information. Where a command jumped in a single missing
     sample, the time of the jump is unknown: left out too, unless too little data would remain.
     """
-    even = run.time_s[0] + period * np.arange(count)
-    far, jumps = np.zeros((2, count), bool)
+    period = float(np.median(np.diff(even)))
+    far, jumps = np.zeros((2, even.size), bool)
     for name, values in run.signals().items():
         known = run.time_s[np.isfinite(values)]
         if known.size > 1 and (name != 'reference' or drive == 'position'):
@@ -174,7 +208,7 @@ def recorded(run: Run, drive: str, period: float, count: int) -> Mask:
                 lost = np.diff(known) > 1.5 * max(period, run.period_s)
                 jumps |= (jumped & lost)[after - 1] & (distance > 0.25 * period)
     about = np.ones(2 * int(BURN_OUT_S / period) + 1)
-    plain, careful = (np.convolve(out, about)[about.size // 2:][:count] < 0.5
+    plain, careful = (np.convolve(out, about)[about.size // 2:][:even.size] < 0.5
                       for out in (far, far | jumps))
     return careful if careful.mean() > 1.0 - MOST_JUMPED else plain
 

@@ -99,9 +99,15 @@ class Weighed(NamedTuple):
     probability: dict[Names, float]
 
 
-def excess(group: Group, residual: Values) -> float:
-    """Return the largest ratio of residual to error floor (mean squares) over the channels."""
-    return max(residual[channel] / group.error_floor[channel] for channel in group.channels)
+def _needs_more(group: Group, fitted: Fitted, channel: str) -> bool:
+    """
+    Return whether a fit leaves more of a channel than a further effect may have to explain.
+
+    If the best residual limits the model error, that may be anything above the noise.
+    """
+    least = (1.0 + NOISE_UNCERTAINTY) * group.noise[channel] ** 2
+    most = SUFFICIENT * group.error_floor[channel]
+    return fitted.held_out[channel] > (min(least, most) if group.floor_by_best else most)
 
 
 def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda: None
@@ -118,7 +124,8 @@ def candidates_of(group: Group, null: Fitted, tick: Callable[[], None] = lambda:
                      key=lambda c: c.fitted.cost)
     null = refit(group, null, [single.fitted for single in singles[:NULL_RESTARTS]])
     found[()] = Candidate((), (), null)
-    if not singles or excess(group, singles[0].fitted.held_out) < SUFFICIENT:
+    if not singles or not any(_needs_more(group, singles[0].fitted, channel)
+                              for channel in group.channels):
         return _without_closed(found)
     for first in singles[:EXTENDED]:
         found |= _extended(first, found, tick)
@@ -239,12 +246,6 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
     return _without_closed(found)
 
 
-def _acts_above_floor(variant: Variant, group: Group, fitted: Fitted) -> bool:
-    """Return whether a form acts on a channel with a residual above the error floor."""
-    return any(fitted.held_out[channel] > SUFFICIENT * group.error_floor[channel]
-               for channel in channels_of(variant, group))
-
-
 def _second_effects(group: Group, first: Candidate, name: str) -> Iterable[tuple[Variant, ...]]:
     """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
@@ -253,7 +254,9 @@ def _second_effects(group: Group, first: Candidate, name: str) -> Iterable[tuple
         clash = any(fixed.get(field, value) != value for field, value in variant.fixed)
         adds_friction = 'friction_level' in variant.fields
         # Two kinds of friction are combined in one friction model.
-        if _acts_above_floor(variant, group, first.fitted) and not clash and variant.joined == (
+        leaves = any(_needs_more(group, first.fitted, each)
+                     for each in channels_of(variant, group))
+        if leaves and not clash and variant.joined == (
                 friction and adds_friction and name == 'friction_asymmetry'):
             yield (*first.variants, variant)
 

@@ -245,22 +245,22 @@ def static_recordings(runs: Sequence[Run], held_out: Sequence[bool], given: str,
 
     `taken` holds these middles: input, output. Raises InputError if a run cannot be diagnosed.
     """
-    read: list[tuple[float, Array, Array]] = []
+    read: list[tuple[float, Array, Array, Array]] = []
     for run in runs:
         static_signals(run, given, got)
-        period, signals = uniform(run)
-        read.append((period, signals[given], signals[got]))
+        period, time, signals, _ = uniform(run)
+        read.append((period, time, signals[given], signals[got]))
     every = max(math.ceil(sum(each[1].size for each in read) / MOST_SAMPLES), 1)
-    middle = {'input': _middle([x for _, x, _ in read]),
-              'output': _middle([y for _, _, y in read])}
+    middle = {'input': _middle([x for _, _, x, _ in read]),
+              'output': _middle([y for _, _, _, y in read])}
     recordings: list[Recording] = []
     whole = any(held_out)
-    for run, out, (period, x, y) in zip(runs, held_out, read, strict=True):
+    for run, out, (period, time, x, y) in zip(runs, held_out, read, strict=True):
         if x.size < FEWEST:
             raise InputError(f'{run.source}: {x.size} samples; a characteristic needs {FEWEST}')
         smooth, left = _smooth(x)
         slope = float(np.polyfit((x - x.mean()) / np.ptp(x), y, 1)[0]) / float(np.ptp(x))
-        there = recorded(run, 'static', period, x.size)
+        there = recorded(run, 'static', time)
         raw = y
         if every > 1:
             smooth, y = _decimated(smooth, every), _decimated(y, every)

@@ -540,7 +540,7 @@ def test_of_a_motion_only_its_band_is_judged_with_the_noise_that_is_there():
     # Noise that is stronger at low frequency: nearly as strong as in the band.
     white = np.random.default_rng(1).normal(0.0, 1e-3, 20000)
     noise = lfilter(*butter(1, 60.0, fs=1000.0), white)
-    motion, _ = motion_of(None, noise, 20.0, 1e-3)
+    motion, _ = motion_of(None, noise, {'velocity': noise_of(noise)}, 20.0, 1e-3)
     assert 3.0 * noise_of(noise) < noise_above(noise, motion, 1e-3) < 1e-3
 
 

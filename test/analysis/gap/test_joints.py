@@ -19,7 +19,7 @@ from asi_analysis.errors import InputError
 from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.answer.joints import Rest, _coupled, diagnose_joints
 from asi_analysis.gap.motion import motion_of
-from asi_analysis.gap.sampling import clipped
+from asi_analysis.gap.sampling import clipped, noise_of
 from asi_analysis.parallel import workers
 
 MAPPING = ('time=t', 'position=q_{joint}[rad]', 'command=tau_{joint}*2[Nm]')
@@ -162,5 +162,6 @@ def test_three_seconds_of_a_servo_at_30_hz_are_answered():
 @pytest.mark.parametrize('period_s', [2.0, 2000.0])
 def test_a_joint_whose_time_is_in_a_wrong_unit_is_answered_or_refused(period_s):
     hip = joint()[SHORT]
-    slow = motion_of(hip.position_m, None, 0.1 / period_s, period_s)[0]
+    slow = motion_of(hip.position_m, None, {'position': noise_of(hip.position_m)}, 0.1 / period_s,
+                     period_s)[0]
     assert np.isfinite(slow.velocity).all()

@@ -17,6 +17,7 @@ from asi_analysis.gap.model.joint import drive_of, joint_groups
 from asi_analysis.gap.model.rattling import is_closed, rattling_in
 from asi_analysis.gap.motion import stands
 from asi_analysis.gap.parts import balanced_split, reported
+from asi_analysis.gap.sampling import noise_of
 
 
 def pulse(count: int = 857) -> np.ndarray:
@@ -94,11 +95,12 @@ def test_a_standstill_is_seen_with_an_analog_sensor(creep: float):
     period, rng = 0.005, np.random.default_rng(5)
     speed = np.where(np.arange(4000) % 1000 < 400, creep, 0.03 * np.sin(np.arange(4000) / 30.0))
     position = period * np.cumsum(speed) + rng.normal(0.0, 3e-6, 4000)
-    found = stands(position, period, 20.0)
+    found = stands(position, noise_of(position), period, 20.0)
     resting = np.arange(4000) % 1000 < 400
     assert found[resting].mean() > 0.98
     assert found[~resting].mean() < 0.2      # beside them, and where it turns
-    assert not stands(position + rng.normal(0.0, 2e-4, 4000), period, 20.0).any()
+    noisy = position + rng.normal(0.0, 2e-4, 4000)
+    assert not stands(noisy, noise_of(noisy), period, 20.0).any()
 
 
 def test_a_cylinder_on_a_spring_has_friction_alone():
