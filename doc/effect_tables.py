@@ -9,7 +9,8 @@ from asi_actuator.model.effects import EFFECTS
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.model import forms
 from asi_analysis.gap.model.effects import BLOCK_OF, GRAVITY, Effects
-from asi_analysis.gap.model.joint import joint_effects, servo_effects
+from asi_analysis.gap.model.joint import servo_effects
+from asi_analysis.gap.model.joint_effects import joint_effects
 from asi_analysis.gap.model.rattling import rattling_in
 from asi_analysis.gap.model.servo.identification import Servo
 from asi_analysis.gap.prepare import prepare

@@ -37,7 +37,12 @@ from asi_analysis.gap.findings.one_sensor import with_one_sensor
 from asi_analysis.gap.findings.shrink import shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
-from asi_analysis.gap.inference.hypotheses import Weighed, join, weigh_groups
+from asi_analysis.gap.inference.hypotheses import (
+    Weighed,
+    join,
+    leaves_more_than_noise,
+    weigh_groups,
+)
 from asi_analysis.gap.inference.other_extent import with_hidden_load, with_lower_band
 from asi_analysis.gap.inference.probability import (
     Names,
@@ -68,6 +73,8 @@ from asi_common.record import field_name
 
 OTHER_LAWS = ("the simulator's own laws leave a gap, and no effect is found that closes it: laws "
               'of another form do, or an effect that they hide')
+MORE_THAN_NOISE = ('the model leaves far more than noise, though no more than that of a joint '
+                   'usually does: an effect may hide in that')
 # Effects that may be a constant force, which only the zero of the position tells apart.
 CONSTANT = {'disturbance_force', 'valve_bias', 'sensor_offset'}
 
@@ -258,10 +265,15 @@ def diagnose(runs: Sequence[Run], model: Mapping[str, Value], plant: str = 'actu
     if laws:
         weighed = [law.agreeing(each) for law, each in zip(laws, weighed, strict=True)]
     joined = join(weighed)
-    if groups.simulated and not laws and any(
-            each is None or each.group.hides_effects for each in answered):
+    if plant == 'joint':
+        hidden = any(map(leaves_more_than_noise, weighed))
+    else:
+        hidden = bool(groups.simulated) and not laws and any(
+            each is None or each.group.hides_effects for each in answered)
+    if hidden:
         joined, before = with_hidden_effect(joined), joined
-        notes += [OTHER_LAWS] if joined != before else []
+        may_hide = MORE_THAN_NOISE if plant == 'joint' else OTHER_LAWS
+        notes += [may_hide] if joined != before else []
     return _answer(case, groups, weighed, joined, notes)
 
 

@@ -309,6 +309,13 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         group.floor_measured)
 
 
+def leaves_more_than_noise(weighed: Weighed) -> bool:
+    """Return whether the nominal model of a joint leaves more than can be noise."""
+    group, left = weighed.group, weighed.candidates[()].fitted.held_out
+    return not group.floor_measured and any(
+        left[channel] > QUIET_RATIO * group.noise[channel] ** 2 for channel in group.channels)
+
+
 def _log_odds_against_values(candidate: Candidate, group: Group) -> float:
     """Return the log prior odds against the values of parameters beyond their tolerance."""
     return sum(log_odds_against(candidate.fitted.values[free.field]

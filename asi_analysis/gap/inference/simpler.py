@@ -50,6 +50,8 @@ def _may_be_simple(name: str, found: Candidate, simple: Candidate) -> bool:
                    if free.field == DISTINGUISHED_BY[name]), None)
     if number is None or fitted.free[number].low <= 0.0 <= fitted.free[number].high:
         return False   # 0 is the least size
+    if 'viscous_asymmetry' in fitted.values:
+        return False   # which symmetric friction has not
     if name == 'friction_asymmetry' and any(
             'constant' in recording.taken for recording in fitted.problem.group.recordings):
         return False   # with a constant load, its own constant force was removed

@@ -147,11 +147,14 @@ def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
                  for inside, channels in ((0.0, LOAD_SIDE), (1.0, FORCE_SIDE)))
 
 
-_ASYMMETRIC = tuple(
-    variant for low, high, start in ((0.15, 1.0, 0.4), (-1.0, -0.15, -0.4))
-    for variant in _friction(Free('friction_asymmetry', low, high, (start,))))
-_ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)),
-                            Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02)), joined=True)
+_ASYMMETRY = tuple(Free('friction_asymmetry', low, high, (start,))
+                   for low, high, start in ((0.15, 1.0, 0.4), (-1.0, -0.15, -0.4)))
+_OF_VISCOUS = Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02))
+_ASYMMETRIC = (*(form for each in _ASYMMETRY for form in _friction(each)),
+               # Behind the force sensor also of the viscous friction.
+               *(_friction(each, _OF_VISCOUS)[0] for each in _ASYMMETRY))
+_ASYMMETRIC_TOO = _friction(Free('friction_asymmetry', -1.0, 1.0, (0.1, -0.1)), _OF_VISCOUS,
+                            joined=True)
 _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_stribeck', 0.005, 0.6, (0.1, 0.3, 0.02), 'velocity', 'm/s'),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
@@ -288,7 +291,7 @@ EFFECTS: Effects = {
 }
 # Of a joint that turns, if compared with healthy recordings: else gravity is in its nominal model.
 GRAVITY: Effects = {'gravity': (
-    Variant(tuple(Free(f'gravity_{part}', -2.0, 2.0, (0.05, -0.05), 'force', 'N')
+    Variant(tuple(Free(f'gravity_{part}', -10.0, 10.0, (0.05, -0.05), 'force', 'N')
                   for part in ('sine', 'cosine')), LOAD_SIDE),)}
 # Of a joint whose force is not measured, if its mass is known: less force for the same command.
 DRIVE_GAIN: Effects = {'drive_gain': (

@@ -21,10 +21,8 @@ from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
 from asi_analysis.gap.model.effects import (
-    DRIVE_GAIN,
     EFFECTS,
     GRAVITY,
-    POSITION_GAIN,
     Effects,
     Free,
     Variant,
@@ -37,8 +35,14 @@ from asi_analysis.gap.model.gravity import (
     without_gravity,
 )
 from asi_analysis.gap.model.group import MODEL_ERROR, RIGID_ERROR, Group, make_group
+from asi_analysis.gap.model.joint_effects import (
+    LONGEST,
+    LONGEST_SAMPLES,
+    LOOP_TIMES,
+    joint_effects,
+)
 from asi_analysis.gap.model.model_file import joint_fields
-from asi_analysis.gap.model.predict import plant_record
+from asi_analysis.gap.model.predict import plant_record, predict
 from asi_analysis.gap.model.rattling import (
     Rattling,
     first_rattling,
@@ -66,6 +70,7 @@ from asi_analysis.gap.model.servo.nominal import (
 from asi_analysis.gap.model.servo.stepped import Steps
 from asi_analysis.gap.motion import judged
 from asi_analysis.gap.prepare import RIGID_BAND_HZ, Recording, prepare
+from asi_analysis.gap.sampling import noise_of
 from asi_analysis.gap.scales import scales
 from asi_common.jit import FULL
 from asi_common.parameter import Value
@@ -88,30 +93,16 @@ LIMITS = tuple(Free(f'servo_{name}', 0.3, 3.0, (1.0,), 'nominal') for name in (
     'rate', 'acceleration'))
 SERVO_SHARE = 0.1   # tracking error, as a share of the motion, above which the servo has a gap
 SECOND_ORDER = 0.002   # model error of a servo of second order, as a share of its tracking error
-# Breakaway distance of friction, share of the range of motion: from bearings to rubber seals.
-BRISTLE = (1e-5, 0.1)
 QUASI_STATIC = 0.05 # share of the inertia in the force below which it cannot be identified
 TYPICAL = 0.3       # share of the force that inertia or damping may have, masked by friction
 MOST = 10.0         # upper bound of a parameter, as a multiple of the value identified first
 ONE_WAY = 0.02      # share of the time in which noise may reverse a motion in one direction
-# A load behind a compliance may oscillate at the start of a recording; damping may be before it.
-LOAD_SWING = (*(Free(f'swing_{part}', -3.0, 3.0, (0.0,), 'force') for part in ('cosine', 'sine')),
-          Free('damping_share', 0.0, 1.0, (0.5,)))
-# A stiff coupling, of which the motion shows the resonance: the compliance over that which would
-# explain the whole motion, on a logarithmic scale. A resonance guides a fit over a factor of two.
-STIFF = {'compliance': Free('compliance', 1e-5, 0.1, (
-             0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06), 'compliance', 'm/N'),
-         'piston_share': Free('piston_share', 0.0, 0.8, (0.5, 0.1))}
-NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Lost motion of a position loop at reversals: one play between the loop and the motion.
 LOST_MOTION = Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command'),),
                       ('valve',), (('loop_behind', 1.0),))
 # A drive whose measured force is another multiple of its command than the units say.
 OTHER_GAIN: Effects = {'drive_gain': (Variant((Free(
     'valve_characteristic_gain', 0.25, 4.0, (0.5, 2.0), 'nominal'),), ('valve',)),)}
-# Delay and lag of a slow machine's position loop: ten times those of a valve, s; or in samples.
-LONGEST, LONGEST_SAMPLES = 1.0, 20
-LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
 
 
 def drive_of(runs: Sequence[Run]) -> str:
@@ -290,6 +281,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     identified = proportional and not gain_is_one
     if identified:
         nominal['valve_characteristic_gain'] = _gain(recordings)
+    recordings = [_with_least_noise(r, nominal) for r in recordings]
     # The gain was identified without a lag: with one it is biased towards zero.
     low, high = (0.1, 10.0) if identified else (1.0 - tolerance, 1.0 + tolerance)
     gain = Free('valve_characteristic_gain', low, high, (1.0,), 'nominal')
@@ -301,6 +293,13 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     error = SECOND_ORDER * bool(dynamics) * float(np.std(np.concatenate(
         [r.input - r.output for r in recordings])))
     return replace(group, formulation={'valve': group.formulation['valve'] + error ** 2})
+
+
+def _with_least_noise(recording: Recording, nominal: np.void) -> Recording:
+    """Return the recording of a drive, of whose output a rough command makes no noise."""
+    left = noise_of(recording.output - predict(recording, 'valve', nominal))
+    return replace(recording, noise={**recording.noise, 'valve_position': min(
+        left, recording.noise['valve_position'])})
 
 
 def servo_effects(recordings: Sequence[Recording], proportional: bool = False,
@@ -411,60 +410,6 @@ def _given_friction(nominal: np.void, given: Mapping[str, Value], tolerance: flo
         # How it begins to slide is not given, so it is known to orders of magnitude.
         frees.append(Free('friction_bristle', 1e-3, 10.0, (1.0, 0.03), 'nominal', anew=True))
     return frees
-
-
-def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Sequence[Variant]) -> Effects:
-    """
-    Return the candidate effects between the force and the motion of a joint.
-
-    period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
-    that a gain error of the force can be identified; force_measured: not only commanded. Effects
-    that equal free parameters of the nominal model are left out: a constant disturbance equals an
-    offset. So does the constant part of asymmetric friction, which is fitted without an offset.
-    """
-    covered = {'disturbance', 'sensor_offset'}
-    if not mass_given:
-        covered |= {'viscous', 'sensor_gain_error'}
-    if not force_measured:
-        covered |= {'sensor_gain_error', 'sensor_lag', 'sensor_lag_split', 'sensor_drift',
-                    'sensor_drift_curve', 'sensor_drift_bend'}
-    low, high = (share * travel for share in BRISTLE)
-    wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
-             'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
-             'sensor_lag': Free('', 0.0, 0.05, (0.0005, 0.002, 0.006, 0.02))}
-
-    def applies(variant: Variant) -> bool:
-        fields = variant.fields
-        return 'load' in variant.channels and not fields <= covered
-
-    def scaled(variant: Variant) -> Variant:
-        free = tuple(wider[free.field]._replace(field=free.field, unit=free.unit)
-                     if free.field in wider else free for free in variant.free
-                     if free.field != 'friction_asymmetry' or not variant.joined)
-        uneven = any(each.field == 'friction_asymmetry' for each in free)
-        behind = any(each.field == 'compliance' for each in free) and not variant.fixed
-        return variant._replace(free=(*free, *[NO_OFFSET] * uneven, *LOAD_SWING * behind))
-
-    effects = {name: forms for name, variants in EFFECTS.items()
-               if (forms := tuple(form for each in variants if applies(each) for form in (
-                   rattling if ('backlash_floating', 1.0) in each.fixed else (scaled(each),))))}
-    soft, = effects['load_compliance']
-    effects['load_compliance'] = soft, soft._replace(free=tuple(
-        STIFF.get(free.field, free) for free in soft.free))
-    effects |= POSITION_GAIN if mass_given else {}
-    if not force_measured:
-        late = {field: Free(field, period, max(0.1, 20.0 * period), (0.002, 0.006, 0.02), '', 's')
-                for field in ('drive_delay', 'drive_lag')}
-        # Two forms, since each parameter makes a form less probable.
-        late_forms: dict[str, list[tuple[Free, ...]]] = {
-            'transport_delay': [(late['drive_delay'],)],
-            'valve_lag': [(late['drive_lag'],),
-                          (late['drive_lag'], Free('drive_lag_split', 0.0, 0.5, (0.3,)))]}
-        effects |= DRIVE_GAIN if mass_given else {}
-        effects |= {name: tuple(Variant(each, ('load',)) for each in own)
-                    for name, own in late_forms.items()}
-    return effects
 
 
 def _identified(recordings: Sequence[Recording], stiffness: float, springs: bool
