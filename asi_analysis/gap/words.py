@@ -62,6 +62,8 @@ SIZES: Final = {
     'servo_friction': 'sliding friction over the stiffness of the loop',
     'servo_breakaway': 'breakaway over sliding friction, less one',
     'servo_load_frequency': 'natural frequency',
+    'servo_upper': 'highest reference, above the mean',
+    'servo_lower': 'lowest reference, below the mean',
     'gravity_sine': 'sin q term', 'gravity_cosine': 'cos q term',
     'deadband_centre': 'centre',
     'deadband_slope': 'share of the gain within',

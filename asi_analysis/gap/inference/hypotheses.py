@@ -86,7 +86,7 @@ SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # Of a joint: if a fit leaves at most this multiple of the noise variance, the model error is what
 # it leaves beyond the noise, and the error floor allows for as much again. Of a joint that is
 # driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
-QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
+QUIET_RATIO, FLOOR_MARGIN = 9.0, 1.1
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 

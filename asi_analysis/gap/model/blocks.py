@@ -46,6 +46,7 @@ from asi_analysis.gap.model.servo.law import (
     moving,
     servo_lags,
     servo_step,
+    within,
 )
 from asi_common.jit import FULL, LINEAR, jit
 
@@ -195,7 +196,7 @@ def valve(command, p, e, period, count, out, begins):
     # For an input that is held over each step, as the command is.
     keep, _, _ = first_order_or_none(e.valve_lag * (1.0 - e.valve_lag_split), h)
     keep_2, old_2, new_2 = first_order_or_none(e.valve_lag * e.valve_lag_split, h)
-    start = command[0] + e.command_bias
+    start = within(command[0] + e.command_bias, e)
     widths = spread(e.valve_hysteresis_spread)
     # Before the recording the plays were at rest.
     plays, fluxes, further = np.zeros(PLAYS), np.zeros(PLAYS), np.zeros(FURTHER)
@@ -220,7 +221,7 @@ def valve(command, p, e, period, count, out, begins):
             u = min(max(u, -p.command_limit), p.command_limit)
             if e.command_quantum > 0.0:
                 u = in_steps(u, e.command_quantum, e.command_phase, e.command_truncated)
-            u += e.command_bias
+            u = within(u + e.command_bias, e)
             if u != sent or p.valve_hysteresis_model == FULL:   # that depends on the rate, too
                 sent = u
                 filtered = u + (filtered - u) * decay

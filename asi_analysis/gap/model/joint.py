@@ -49,7 +49,13 @@ from asi_analysis.gap.model.rattling import (
     rattling_in,
     rattling_mechanics,
 )
-from asi_analysis.gap.model.servo.forms import forms_of, initial_state, loop_of, swapped
+from asi_analysis.gap.model.servo.forms import (
+    forms_of,
+    initial_state,
+    limited_reference,
+    loop_of,
+    swapped,
+)
 from asi_analysis.gap.model.servo.identification import (
     DAMPINGS,
     Servo,
@@ -307,7 +313,8 @@ def servo_effects(recordings: Sequence[Recording], proportional: bool = False,
     """Return the candidate effects of a drive; the arguments are those of `_servo`."""
     # If the motion is too slow to show the servo's dynamics, dry friction in its loop is a play.
     own: dict[str, tuple[Variant, ...]] = {} if proportional else {
-        'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,)}
+        'backlash': (LOST_MOTION,), 'coulomb_friction': (LOST_MOTION,),
+        'valve_saturation': (EFFECTS['valve_saturation'][0], limited_reference(recordings))}
     own |= {'command_quantisation': (stepping(steps),)} if steps else {}
     own |= forms_of(servos[0], recordings) if servos else {}
     late = [] if servos else [Servo(1.0, 0.0, delay=late_by(recordings))]

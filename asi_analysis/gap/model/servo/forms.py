@@ -19,6 +19,7 @@ STRIBECKS: Final = (0.01, 0.05, 0.2)
 FAST: Final = 0.99
 LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
 LOAD_DAMPINGS: Final = (0.0, 0.15, 0.4)
+REACHED: Final = (0.95, 0.8, 0.6)   # where a limit of the reference may be, as a share of it
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
 MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
 MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
@@ -63,6 +64,18 @@ def forms_of(servo: Servo, recordings: Sequence[Recording]) -> dict[str, tuple[V
     return {name: (Variant(free, ('valve',)),) for name, free in (
         ('coulomb_friction', friction), ('stiction', (*friction, *sticking)),
         ('load_compliance', compliance))}
+
+
+def limited_reference(recordings: Sequence[Recording]) -> Variant:
+    """
+    Return the form of a reference that a position servo follows within two limits only.
+
+    Two, since the origin of a reference is arbitrary: what is symmetric to one is not to another.
+    """
+    reference = np.concatenate([r.input[r.valid] for r in recordings])
+    return Variant(tuple(Free(f'servo_{name}', 0.2 * most, 1.3 * most, tuple(
+        share * most for share in REACHED), '', 'm') for name, most in (
+            ('upper', float(reference.max())), ('lower', -float(reference.min())))), ('valve',))
 
 
 def swapped(servos: Sequence[Servo]) -> list[Servo]:
