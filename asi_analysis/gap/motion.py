@@ -327,7 +327,12 @@ def halts(velocity: Array, slow: float) -> Mask:
     return found
 
 
-def ends(count: int, period: float) -> Mask:
-    """Return the samples at both ends of a recording in which a high-pass filter rings."""
+def ends(count: int, period: float, band: float, integrated: bool) -> Mask:
+    """
+    Return the samples at both ends of a recording in which filters ring.
+
+    band: Hz, of the low-pass filter; integrated: the motion, which passed a high-pass filter, too.
+    """
     time = period * np.arange(count)
-    return np.minimum(time, time[::-1]) < min(RINGING_S, RINGING * time[-1])
+    ringing = max(1.0 / band, RINGING_S * integrated)
+    return np.minimum(time, time[::-1]) < min(ringing, RINGING * time[-1])

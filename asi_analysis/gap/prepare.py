@@ -323,8 +323,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
         fit, held = (split(driving.size, period) if drive == 'valve' else
                      balanced_split(driving, period))
         valid = recorded(run, drive, time)
-        if motion is not None and not motion.measured:
-            valid = valid & ~ends(fit.size, period)
+        if motion is not None and (drive == 'force' or not motion.measured):
+            valid = valid & ~ends(fit.size, period, band, not motion.measured)
         if drive == 'force' and motion is not None and 'position' in moving:
             valid = valid & ~stands(moving['position'], noise['position'], period, band)
         # Clipped samples are not measurements; a valve, however, may rest against a stop.

@@ -86,7 +86,7 @@ SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # Of a joint: if a fit leaves at most this multiple of the noise variance, the model error is what
 # it leaves beyond the noise, and the error floor allows for as much again. Of a joint that is
 # driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
-QUIET_RATIO, FLOOR_MARGIN = 9.0, 1.1
+QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
@@ -273,12 +273,15 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     noise = {channel: level ** 2 for channel, level in group.noise.items()}
     propagated = {names: _propagated_noise(group, candidate.fitted)
                   for names, candidate in found.items()}
+    independent = independent_samples(group, best.fitted.record)
     residual = {names: {channel: max(left, SMALLEST_RESIDUAL * group.error_floor[channel])
                         for channel, left in candidate.fitted.held_out.items()}
                 for names, candidate in found.items()}
     for channel, level in noise.items():
         more = {names: propagated[names][channel] - propagated[()][channel] for names in found}
-        share = min(1.0, *(residual[names][channel] / (level + more[names] + 1e-300)
+        # Of a residual of few independent samples, the mean square is known to a few tenths.
+        least = 1.0 + 2.0 * math.sqrt(2.0 / max(independent[channel], 2.0))
+        share = min(1.0, *(least * residual[names][channel] / (level + more[names] + 1e-300)
                            for names in found))
         for names in found:
             # The excess, within its uncertainty, that leaves the common noise variance.
@@ -302,7 +305,7 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
         formulation = {name: min(level, error[name]) for name, level in formulation.items()}
     return Evidence(
         noise, floor, formulation,
-        independent_samples(group, best.fitted.record), group.held_out_s, residual,
+        independent, group.held_out_s, residual,
         {names: len({field.partition('@')[0] for field in fields_of(candidate.variants)})
          for names, candidate in found.items()},
         {names: _log_odds_against_values(candidate, group) for names, candidate in found.items()},
