@@ -28,18 +28,32 @@ SETTLING = 1000         # samples after which noise of a colour is in its steady
 CLOSED_FORM = 70.0      # sum of the squared binomial weights 1, 4, 6, 4, 1
 
 
-def noise_of(signal: Array) -> float:
+def noise_of(signal: Array, time: Array | None = None) -> float:
     """
     Return the standard deviation of a signal's white noise.
 
     From the median of the fourth differences, in which a smooth signal vanishes and rare jumps do
-    not count. At least the quantisation noise of a quantised signal.
+    not count. At least the quantisation noise of a quantised signal. time: of the samples, if it
+    is uneven: then of the divided differences.
     """
-    white = float(np.median(np.abs(np.diff(signal, 4))) / 0.6745 / math.sqrt(CLOSED_FORM))
+    differences = (np.diff(signal, 4) / math.sqrt(CLOSED_FORM) if time is None else
+                   _divided_differences(signal, time))
+    white = float(np.median(np.abs(differences)) / 0.6745)
     levels = np.unique(signal)
     if 1 < levels.size < SHARED * signal.size:   # of an encoder: each value many times
         white = max(white, float(np.median(np.diff(levels))) / math.sqrt(12.0))
     return white
+
+
+def _divided_differences(signal: Array, time: Array) -> Array:
+    """Return the fourth divided differences of a signal, in which white noise has its variance."""
+    rows = np.arange(signal.size - 4)
+    unit = float(np.median(np.diff(time)))
+    at = [(time[rows + i] - time[rows]) / unit for i in range(5)]
+    weights = [1.0 / np.prod([here - other for j, other in enumerate(at) if j != i], axis=0)
+               for i, here in enumerate(at)]
+    size = np.sqrt(np.sum(np.square(weights), axis=0))
+    return sum(weight * signal[rows + i] for i, weight in enumerate(weights)) / size
 
 
 def noise_spectrum(frequency: Array, colour: tuple[float, ...]) -> Array:
@@ -183,7 +197,7 @@ def uniform(run: Run, by_rows: bool = False) -> Uniform:
             signals[name] = _held(time, whole, even)
         else:
             signals[name] = np.interp(even, time, whole)
-            faded[name] = max(noise_of(whole) / (noise_of(signals[name]) or math.inf), 1.0)
+            faded[name] = max(noise_of(whole, time) / (noise_of(signals[name]) or math.inf), 1.0)
     return Uniform(period, even, signals, dict.fromkeys(signals, 1.0) | faded)
 
 

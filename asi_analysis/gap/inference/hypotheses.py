@@ -280,8 +280,8 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
     for channel, level in noise.items():
         more = {names: propagated[names][channel] - propagated[()][channel] for names in found}
         # Of a residual of few independent samples, the mean square is known to a few tenths.
-        least = 1.0 + 2.0 * math.sqrt(2.0 / max(independent[channel], 2.0))
-        share = min(1.0, *(least * residual[names][channel] / (level + more[names] + 1e-300)
+        sure = 1.0 + 2.0 * math.sqrt(2.0 / max(independent[channel], 2.0))
+        share = min(1.0, *(sure * residual[names][channel] / (level + more[names] + 1e-300)
                            for names in found))
         for names in found:
             # The excess, within its uncertainty, that leaves the common noise variance.

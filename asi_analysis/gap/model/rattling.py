@@ -179,7 +179,7 @@ def rattling_of(recording: Recording, late: float) -> Rattling | None:
                      for more in (WEIGHT_STEPS if number % 2 else (0.0,))]
         best = min((best, *(force.tried(*each) for each in loads)), key=lambda each: each.residual)
     explained = best.held_out < MOST_RESIDUAL * rigid.held_out
-    plausible = LEAST_SHARE < best.load.share < SHARE_BOUNDS[1]
+    plausible = best.load.gap > 0.0 and LEAST_SHARE < best.load.share < SHARE_BOUNDS[1]
     return best.load if explained and plausible else None
 
 
