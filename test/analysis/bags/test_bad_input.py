@@ -399,7 +399,8 @@ def test_a_bag_that_cannot_be_finished_does_not_stand_in_the_way(
 
 
 @pytest.mark.parametrize('variables', [
-    {'LC_ALL': 'C'}, {'HOME': '/proc/none', 'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
+    pytest.param({'LC_ALL': 'C'}, marks=pytest.mark.slow),
+    {'HOME': '/proc/none', 'LC_ALL': 'POSIX', 'PYTHONUTF8': '0'}])
 def test_spaces_umlauts_no_home_no_locale_and_no_terminal(
         tmp_path: Path, variables: dict[str, str]) -> None:
     folder = tmp_path / 'Prüf stand'

@@ -31,6 +31,7 @@ def asked(new: Run, *healthy: Run) -> Gap:
     return diagnose([new], plant='joint', baseline=healthy)
 
 
+@pytest.mark.slow
 def test_more_friction_is_named_with_its_size_before_and_now():
     answer = asked(joint(**MACHINE | {'friction': 0.13}), *HEALTHY)
     assert answer.verdict == 'coulomb_friction' and answer.baseline['change'] == 'changed'

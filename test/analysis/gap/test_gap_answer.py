@@ -80,7 +80,8 @@ def test_parameter_at_the_limit_of_its_tolerance_is_said():
     assert problems(answer, 'asi gap') == []
 
 
-@pytest.mark.parametrize(('times', 'sure'), [(1.25, False), (1.6, True)])
+@pytest.mark.parametrize(('times', 'sure'), [
+    (1.25, False), pytest.param(1.6, True, marks=pytest.mark.slow)])
 def test_parameter_beyond_its_tolerance_is_an_answer(times, sure):
     """At the edge other parameters and a sensor's gain do the same; they share the probability."""
     stiff = {**TEXTBOOK, 'load.stiffness': 2e5 * times}

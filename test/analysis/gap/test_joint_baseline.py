@@ -55,7 +55,8 @@ def test_a_gear_that_has_worn_is_no_compliance():
 
 
 @pytest.mark.parametrize(('push', 'seen', 'verdict', 'size'), [
-    (0.7, 1.0, 'drive_gain', 0.3), (1.0, 1.3, 'position_gain', 0.3)])
+    pytest.param(0.7, 1.0, 'drive_gain', 0.3, marks=pytest.mark.slow),
+    (1.0, 1.3, 'position_gain', 0.3)])
 @pytest.mark.filterwarnings('ignore:the joint has gravity', 'ignore:a constant')
 def test_one_factor_of_the_command_or_the_motion_is_one_change(push, seen, verdict, size):
     """Inertia, friction and gravity all seem to have changed by it."""

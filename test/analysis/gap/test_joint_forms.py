@@ -53,6 +53,7 @@ def test_servo_is_identified_with_what_makes_it_late(true):
     assert same.pulsation == pytest.approx(80.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_slowly_sampled_servo_has_its_limits_and_its_delay():
     # A hobby servo at 50 Hz: between whole samples of delay the fit stayed, 6.9 % were left, and
     # the answer was unknown.

@@ -57,7 +57,8 @@ def test_a_case_that_cannot_be_checked_is_refused_in_words(entry, why, tmp_path)
 @pytest.mark.parametrize(('seed', 'effect', 'field', 'truth'), [
     pytest.param(300113, 'backlash', 'backlash', 'gap',
                  marks=pytest.mark.slow),                             # it rattles
-    (300174, 'command_quantisation', 'command_quantum', 'quantum'),   # its steps have any origin
+    pytest.param(300174, 'command_quantisation', 'command_quantum', 'quantum',
+                 marks=pytest.mark.slow),                             # its steps have any origin
     pytest.param(310027, 'command_quantisation', 'command_quantum', 'quantum',
                  marks=pytest.mark.slow),                             # coarse, of a quick servo
     pytest.param(340012, 'command_quantisation', 'command_quantum', 'quantum',
@@ -65,7 +66,8 @@ def test_a_case_that_cannot_be_checked_is_refused_in_words(entry, why, tmp_path)
     (310020, 'disturbance_force', 'disturbance_frequency', 'push_frequency'),  # beside a line
     (310067, 'disturbance_force', 'disturbance_pulse', 'push_burst'),   # it hides the gravity
     (310030, 'valve_lag', 'drive_lag', 'lag'),                        # it has two poles
-    (330031, 'valve_lag', 'valve_lag', 'lag')])                       # before a servo
+    pytest.param(330031, 'valve_lag', 'valve_lag', 'lag',
+                 marks=pytest.mark.slow)])                            # before a servo
 def test_size_of_what_a_fit_finds_only_from_nearby(seed, effect, field, truth):
     case = draw_joint(seed)
     answer = document(diagnose(case.runs, {}, 'joint'))

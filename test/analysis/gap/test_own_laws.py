@@ -164,6 +164,7 @@ def test_two_effects_behind_the_valve_of_a_linear_machine_are_both_named():
     assert improved['coupling.stiffness'] == pytest.approx(5e5, rel=0.5)
 
 
+@pytest.mark.slow
 def test_what_no_law_explains_is_unknown():
     run = recorded()[:1500]
     ripple = 6.0 * np.sin(2.0 * np.pi * run.position_m / 3e-4)

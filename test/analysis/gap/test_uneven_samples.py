@@ -77,7 +77,8 @@ def test_noise_is_that_of_what_was_recorded():
     assert recording.noise['position'] == pytest.approx(1e-3, rel=0.15)
 
 
-@pytest.mark.parametrize(('damping', 'verdict'), [(2.0, ()), (4.0, ('viscous_friction',))])
+@pytest.mark.parametrize(('damping', 'verdict'), [
+    (2.0, ()), pytest.param(4.0, ('viscous_friction',), marks=pytest.mark.slow)])
 def test_a_joint_of_uneven_samples_has_no_compliance(damping: float, verdict: tuple[str, ...]):
     found = of_joint(moved(uneven(), damping), **MODEL)
     assert found.verdict == verdict or {'parameter:load.damping'} == {*found.verdict}
@@ -109,7 +110,7 @@ def test_the_row_of_the_force_that_answers_a_command_is_a_convention(late: int):
     assert limited.verdict == ('valve_saturation',)
 
 
-@pytest.mark.parametrize('origin', [0.0, 0.3])
+@pytest.mark.parametrize('origin', [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_limit_of_a_reference_is_found_about_any_origin(origin: float):
     # Symmetric about an origin that is not the mean, it was steps of the reference, or unknown.
     time = PERIOD_S * np.arange(1500)

@@ -43,7 +43,7 @@ def test_predict_says_what_the_facts_say(facts, step_n):
     assert onset_notes(Setup({}, CONDITIONS._replace(onset_steps_n=(step_n,)), facts)) == {}
 
 
-@pytest.mark.parametrize('step_n', [100.0, 600.0])
+@pytest.mark.parametrize('step_n', [pytest.param(100.0, marks=pytest.mark.slow), 600.0])
 def test_recordings_at_the_onset_are_the_cycle_that_the_facts_tell(facts, step_n):
     gain, expected = (facts[onset_name(step_n, what)] for what in ('gain', 'frequency_hz'))
     run = in_process(step_experiment(
