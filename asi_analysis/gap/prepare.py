@@ -238,8 +238,6 @@ def _signals(run: Run, drive: str) -> _Signals:
     if origin is not None:
         signals['position'] = signals['position'] - origin
     _with_centred_origin(signals, drive, run)
-    if drive == 'drive':
-        signals['command'] = _as_answered(signals['command'], signals['force'])
     sources = _sources(run, drive)
     moving = {name: signals[source] for name, source in sources.items()
               if source in signals and np.ptp(signals[source]) > 0.0}
@@ -254,24 +252,6 @@ def _signals(run: Run, drive: str) -> _Signals:
                                       if np.ptp(values) > 0.0) or 'none'))
     noise = {name: noise_of(values) * faded[sources[name]] for name, values in moving.items()}
     return _Signals(period, time, moving, noise, origin)
-
-
-def _as_answered(command: Array, force: Array) -> Array:
-    """
-    Return the command of a drive such that its force answers it one sample later.
-
-    A log may have a command in the row of the force that answers it: a convention, not a delay.
-    """
-    if not np.ptp(command):
-        return command
-    earlier = np.append(command[1:], command[-1])
-
-    def left(held: Array) -> float:
-        """Return what the gain of a drive that holds this command leaves."""
-        before, after = held[:-1] - held.mean(), force[1:] - force.mean()
-        return float(np.sum((after - before * (before @ after) / (before @ before)) ** 2))
-
-    return earlier if left(earlier) < left(command) else command
 
 
 def shared_band(runs: Sequence[Run], drive: str) -> float:

@@ -279,10 +279,13 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
                 for names, candidate in found.items()}
     for channel, level in noise.items():
         more = {names: propagated[names][channel] - propagated[()][channel] for names in found}
-        # Of a residual of few independent samples, the mean square is known to a few tenths.
-        sure = 1.0 + 2.0 * math.sqrt(2.0 / max(independent[channel], 2.0))
-        share = min(1.0, *(sure * residual[names][channel] / (level + more[names] + 1e-300)
-                           for names in found))
+        left = {names: residual[names][channel] / (level + more[names] + 1e-300)
+                for names in found}
+        share = min(1.0, *left.values())
+        # Of few independent samples, it is known to a few tenths: what the nominal model leaves
+        # may be noise alone.
+        if left[()] < share * (1.0 + 2.0 * math.sqrt(2.0 / max(independent[channel], 2.0))):
+            share = min(1.0, left[()])
         for names in found:
             # The excess, within its uncertainty, that leaves the common noise variance.
             ends = [factor * more[names] for factor in (

@@ -69,6 +69,7 @@ from asi_analysis.gap.model.servo.nominal import (
     SERVO_ERROR,
     can_be_identified,
     identified_servo,
+    in_rows,
     late_by,
     near,
     stepping,
@@ -263,6 +264,7 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
     another servo; fits with effects start from each of them.
     """
     nominal = plant_record(IDEAL)
+    recordings = in_rows(recordings) if proportional else recordings
     dynamics: tuple[Free, ...] = ()
     if servos:
         servo = servos[0]

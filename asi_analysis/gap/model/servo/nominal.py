@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import correlate
 
+from asi_analysis.arrays import Array
 from asi_analysis.gap.model.effects import Free, Variant
 from asi_analysis.gap.model.group import MODEL_ERROR
 from asi_analysis.gap.model.servo.identification import (
@@ -70,8 +72,25 @@ def near(free: Free, servos: Sequence[Servo]) -> Free:
 
 
 def late_by(recordings: Sequence[Recording]) -> float:
+    """Return by how many whole samples (in s) an output follows its held command with a delay."""
+    # Without a delay the output answers the command of the sample before.
+    return max(r.period_s for r in recordings) * int(np.argmax(_explained(recordings)[1:]))
+
+
+def in_rows(recordings: Sequence[Recording]) -> list[Recording]:
     """
-    Return by how many whole samples (in s) an output follows its held command with a delay.
+    Return recordings of a drive whose output answers the command of the sample before.
+
+    A log may have a command in the row of its answer: a convention, not a delay.
+    """
+    if np.argmax(_explained(recordings)) > 0:
+        return list(recordings)
+    return [replace(r, command=np.append(r.input[1:], r.input[-1])) for r in recordings]
+
+
+def _explained(recordings: Sequence[Recording]) -> Array:
+    """
+    Return what a command explains of the power of its output, by the samples between the two.
 
     By correlation, for each delay: the noise of a command makes a local minimum of a fit between
     two samples, since their mean has less of it.
@@ -86,6 +105,4 @@ def late_by(recordings: Sequence[Recording]) -> float:
         start = command.size - 1
         shared += correlate(output, command)[start:start + most]
         power += correlate(used, command ** 2)[start:start + most]
-    # Without a delay the output answers the command of the sample before.
-    explained = np.maximum(shared, 0.0)[1:] ** 2 / np.maximum(power[1:], 1e-300)
-    return period * int(np.argmax(explained))
+    return np.maximum(shared, 0.0) ** 2 / np.maximum(power, 1e-300)
