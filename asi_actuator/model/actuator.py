@@ -208,12 +208,14 @@ def valve_substep(state, command, p, steady):
 def substep(state, command, p, steady):
     """Advance `state` by a sub-step at a constant valve command (N)."""
     valve_substep(state, command, p, steady)
+    felt_before = state.felt_force
     motion_substep(state, p, steady)
+    state.sensed = force_sensor(state, felt_before, state.felt_force, p, steady.sensor)
 
 
 @inlined
 def motion_substep(state, p, steady):
-    """Advance all behind the valve by a sub-step that ends at the valve's position (m)."""
+    """Advance all between valve and force sensor by a sub-step to the valve's position (m)."""
     static_before = state.static_force
     state.static_force = valve_characteristic(state.valve_position, p)
     opening = valve_opening(state.valve_position, p)
@@ -222,9 +224,7 @@ def motion_substep(state, p, steady):
 
     load(state, static_before, opening, steady, p)
     state.time += steady.h
-    felt_before = state.felt_force
     state.felt_force = felt_force(state, steady.apart, p)
-    state.sensed = force_sensor(state, felt_before, state.felt_force, p, steady.sensor)
 
 
 @jit
@@ -260,14 +260,29 @@ def advance_valve(state, command, p, steady, positions):
 
 
 @inlined
-def advance_motion(state, positions, p, steady):
-    """Advance all behind a valve with these `positions` (see advance_valve) by one period."""
+def advance_motion(state, positions, felt, p, steady):
+    """
+    Advance all between a valve with these `positions` (see advance_valve) and the force sensor.
+
+    By one period. felt: is filled with the force (N) where the sensor is, as positions are.
+    """
     state.valve_position = positions[0]
     motion_jump(state, p)
+    felt[0] = state.felt_force
     for number in range(steady.substeps):
-        state.ring_index = (state.ring_index + 1) & (RING - 1)
         state.valve_position = positions[number + 1]
         motion_substep(state, p, steady)
+        felt[number + 1] = state.felt_force
+    state.sample += 1
+
+
+@inlined
+def advance_sensor(state, felt, p, steady):
+    """Advance the force sensor alone by one period; felt: see advance_motion."""
+    for number in range(steady.substeps):
+        state.ring_index = (state.ring_index + 1) & (RING - 1)
+        state.time += steady.h
+        state.sensed = force_sensor(state, felt[number], felt[number + 1], p, steady.sensor)
     state.sample += 1
 
 

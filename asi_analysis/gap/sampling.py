@@ -80,8 +80,8 @@ def noise_of_colour(count: int, colour: tuple[float, ...], random: np.random.Gen
 
 def whitened(error: Array, valid: Mask, colour: tuple[float, ...]) -> Array:
     """Return an error whose noise has this colour, with white noise of the same variance."""
-    return math.sqrt(gain_of_noise(colour)) * lfilter(
-        [1.0, *(-each for each in colour)], [1.0], _over_gaps(error, valid))
+    filtered = np.convolve(_over_gaps(error, valid), [1.0, *(-each for each in colour)])
+    return math.sqrt(gain_of_noise(colour)) * filtered[:error.size]
 
 
 def whitened_by(factor: Array, error: Array, valid: Mask) -> Array:
@@ -96,6 +96,8 @@ def whitened_by(factor: Array, error: Array, valid: Mask) -> Array:
 
 def _over_gaps(error: Array, valid: Mask) -> Array:
     """Return an error, interpolated where it is not valid."""
+    if valid.all():
+        return error
     index = np.arange(error.size)
     return np.interp(index, index[valid], error[valid])
 

@@ -45,7 +45,7 @@ def with_motion(scale: Values, recordings: Sequence[Recording], p: np.void) -> V
     if any(r.motion is not None or r.command is None for r in recordings):
         return scale
     motions = [simulated_motion(r, p) for r in recordings]
-    velocity, position = (_range([motion[row] for motion in motions]) for row in (1, 2))
+    velocity, position = (_range([motion[row] for motion in motions]) for row in (0, 1))
     return scale | _of_motion(scale['force'], velocity, position)
 
 

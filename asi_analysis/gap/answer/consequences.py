@@ -18,6 +18,7 @@ from asi_analysis.gap.model.model_file import improved_model
 from asi_analysis.loop.closed_loop import simulate_loop
 from asi_analysis.loop.onset import onset
 from asi_analysis.measures.analysis import analyze
+from asi_analysis.parallel import in_threads
 from asi_common.parameter import ParameterError, Value
 from asi_controller.parameters import COMPENSATOR_PARAMETERS, REFERENCE_PARAMETERS
 
@@ -73,8 +74,8 @@ def consequences(diagnosis: Diagnosis, model: Values, run: Run) -> list[Conseque
     lowest = [NEAR * known_gain] if known_gain else []
     rng = np.random.default_rng(1)
     fits = [(candidate.fitted, likelihood(candidate.fitted)) for candidate in best]
-    others = [loop([draw(fitted, found, rng) for fitted, found in fits], lowest)
-              for _ in range(DRAWS)]
+    drawn = [[draw(fitted, found, rng) for fitted, found in fits] for _ in range(DRAWS)]
+    others = list(in_threads(lambda records: loop(records, lowest), drawn))
     # All three over the same time, in which the reference is the same.
     measured = _figures_of(run[0.0:duration_s]) if recorded else {}
     return [Consequence(name, nominal[name], improved[name],

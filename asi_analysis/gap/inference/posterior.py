@@ -29,7 +29,7 @@ from asi_analysis.gap.model.group import (
     with_valve_gain,
 )
 from asi_analysis.gap.model.predict import judged_error
-from asi_analysis.gap.model.simulator import metres_per_newton
+from asi_analysis.gap.model.simulator import metres_per_newton, moves_nothing
 from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.gap.prepare import first_of_recording
 from asi_analysis.parallel import cores
@@ -179,7 +179,13 @@ class Posterior(Problem):
             moved[number] += step
             return (self._residual_of(self.record(moved)) - residual) / step
 
-        return np.array(list(self.in_parallel(column, range(theta.size)))).T
+        # First those with the motion of the base, as long as that is cached.
+        order = sorted(range(theta.size), key=lambda number: not moves_nothing(
+            self.free[number].field))
+        columns = np.empty((theta.size, residual.size))
+        for number, values in zip(order, self.in_parallel(column, order), strict=True):
+            columns[number] = values
+        return columns.T
 
     def in_parallel(self, function: Callable[[Item], Made], items: Iterable[Item]
                     ) -> Iterator[Made]:

@@ -18,10 +18,11 @@ from scipy.signal import welch
 from asi_actuator.model.actuator import (
     STATE_DTYPE,
     advance_motion,
+    advance_sensor,
     advance_valve,
-    measure,
     prepare,
 )
+from asi_actuator.model.force_sensor import held_reading
 from asi_actuator.model.load import load_spring
 from asi_actuator.parameters import ACTUATOR_DTYPE, as_record
 from asi_analysis.arrays import Array
@@ -44,7 +45,7 @@ from asi_common.record import copy_of, with_fields
 
 # Sub-steps that are tried, the longest first: each has half of the integration error of the one
 # before. Their largest error (rms), as a share of the rms error floor; at the end of a fit.
-SUBSTEPS_S = tuple(5e-4 * 2.0 ** (-0.5 * number) for number in range(8))
+SUBSTEPS_S = tuple(1e-3 * 2.0 ** (-0.5 * number) for number in range(10))
 SUBSTEP_ERROR, FINAL_ERROR = 0.2, 0.02
 # Fields that the valve position depends on.
 VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
@@ -56,6 +57,12 @@ GAIN_FIELDS = tuple(f'valve_characteristic_{name}' for name in (
 # Where those fields are in a record on which the deflection of the valve, in N, depends.
 VALVE_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1] for name in VALVE_FIELDS
                     if name not in (*GAIN_FIELDS, 'valve_flexure_travel_limit'))
+# Where those are of the force sensor alone, on which the motion does not depend.
+SENSOR_FIELDS = frozenset(name for name in ACTUATOR_DTYPE.names or () if name.startswith(
+    'force_sensor_') and name != 'force_sensor_mass_share')
+SENSOR_BYTES = tuple(dict[str, Any](ACTUATOR_DTYPE.fields or {})[name][1]
+                     for name in SENSOR_FIELDS)
+NOTHING = bytes(8)
 # Fields of the delays of the command.
 DELAYS = ('command_path_delay', 'valve_flexure_delay')
 # Fields of the errors of the valve's fit, and their largest size, standard deviations.
@@ -77,18 +84,28 @@ def _valve(state, command, p, period):
 @jit
 def _follow(state, deflection, unit, error, p, period, out):
     """
-    Fill `out` (force, velocity, position; n samples) for given positions of the valve (m).
+    Fill `out` (velocity, position, then the felt forces; n samples) for given valve positions (m).
 
     These are unit * deflection + error. deflection: after the command's jump and each sub-step of
-    a period, N; unit: m/N; error: in each period, m.
+    a period, N, as the felt forces are; unit: m/N; error: in each period, m.
     """
     steady = prepare(p, period)
     positions = np.empty(deflection.shape[1])
     for k in range(out.shape[1]):
-        out[0, k], _, out[2, k], out[1, k] = measure(state, p)
+        out[0, k], out[1, k] = state.velocity, state.position
         for j in range(positions.size):
             positions[j] = unit * deflection[k, j] + error[k]
-        advance_motion(state, positions, p, steady)
+        advance_motion(state, positions, out[2:, k], p, steady)
+
+
+@jit
+def _sense(state, felt, p, period):
+    """Return the readings (N, n samples) of the force sensor; felt: as `_follow` returns it."""
+    steady, out = prepare(p, period), np.empty(felt.shape[1])
+    for k in range(out.size):
+        out[k] = held_reading(state, p)
+        advance_sensor(state, felt[:, k], p, steady)
+    return out
 
 
 def simulator_record(nominal: Mapping[str, Value]) -> np.void:
@@ -186,18 +203,37 @@ def less_noisy_valve(recording: Recording, predicted: Array) -> tuple[Array, flo
 
 
 def simulated_motion(recording: Recording, p: np.void) -> Array:
-    """Return force (N), velocity (m/s) and position (m), 3 x n samples."""
+    """Return velocity (m/s) and position (m), then the felt forces (N), each of n samples."""
     def run() -> Array:
         deflection, unit = _deflection(recording, p), metres_per_newton(p)
         state = state_at_start(recording, p, unit * deflection[:-1, -1])
-        out, error = np.empty((3, recording.fit.size)), np.zeros(recording.fit.size)
+        out, error = np.empty((2 + deflection.shape[1], recording.fit.size)), np.zeros(
+            recording.fit.size)
         if recording.valve_estimate is not None:
             error = recording.valve_estimate - unit * deflection[:-1, -1]
             error[:-1] = 0.5 * (error[:-1] + error[1:])   # in a period: the mean of both ends
         _follow(state, deflection[1:], unit, error, actuator_of(p), recording.period_s, out)
         return out
 
-    return recording.cached('motion', actuator_of(p).tobytes() + state_key(p), run)
+    raw = bytearray(actuator_of(p).tobytes())
+    for k in SENSOR_BYTES:
+        raw[k:k + 8] = NOTHING
+    return recording.cached('motion', bytes(raw) + state_key(p), run)
+
+
+def simulated_force(recording: Recording, p: np.void) -> Array:
+    """Return what the force sensor reads (N, n samples)."""
+    def run() -> Array:
+        state = state_at_start(recording, p, np.zeros(1))
+        return _sense(state, simulated_motion(recording, p)[2:], actuator_of(p),
+                      recording.period_s)
+
+    return recording.cached('force', actuator_of(p).tobytes() + state_key(p), run)
+
+
+def moves_nothing(field: str) -> bool:
+    """Return whether the simulated motion does not depend on a parameter."""
+    return field in SENSOR_FIELDS or field.startswith(VALVE_ERROR)
 
 
 def with_valve_errors(p: np.void, count: int) -> tuple[np.void, tuple[Free, ...]]:
@@ -272,9 +308,9 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
         correction = correction + changes @ [p[name] for name in _errors(changes.shape[1])]
     if channel == 'valve':
         return simulated_valve(recording, p) + correction
-    force, velocity, position = simulated_motion(recording, p)
     if channel == 'force':
-        return force + correction
+        return simulated_force(recording, p) + correction
+    velocity, position = simulated_motion(recording, p)[:2]
     if channel == 'velocity':
         return velocity + correction + _mean_position_error(recording, position, p)
     assert recording.raw_position is not None
@@ -298,7 +334,7 @@ def _mean_position_error(recording: Recording, position: Array, p: np.void) -> f
     sizes = recording.cached('sizes', (), lambda: np.array([velocity.std(), real.std()])).tolist()
     errors = [math.hypot(recording.noise.get(name, 0.0), POSITION_ERROR * size)
               for name, size in zip(('velocity', 'position'), sizes, strict=True)]
-    off = float(np.mean((position - real)[valid])) / math.sqrt(valid.sum())
+    off = float((position - real) @ valid) / int(np.count_nonzero(valid)) ** 1.5
     return errors[0] / max(errors[1], 1e-300) * off
 
 
@@ -311,7 +347,7 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     """
     motion = recording.moved
     assert recording.force is not None
-    force, velocity, _ = simulated_motion(recording, p)
+    velocity = simulated_motion(recording, p)[0]
     stiffness, damping = load_spring(actuator_of(p))
     raw = recording.raw_velocity
     measured = motion.velocity[motion.inner] if raw is None else raw
@@ -322,7 +358,8 @@ def missed_force(recording: Recording, p: np.void) -> Array:
     s = 1j * np.maximum(motion.omega, motion.omega[1])
     mass = (1.0 - p['force_sensor_mass_share']) * p['load_mass']
     needed = (mass * s + damping + stiffness / s) * spectrum(velocity - measured)
-    total = motion.judge * (needed - spectrum(force - recording.force))
+    total = motion.judge * (needed - spectrum(
+        simulated_force(recording, p) - recording.force))
     return np.fft.irfft(total, velocity.size + 2 * motion.pad)[motion.inner]
 
 

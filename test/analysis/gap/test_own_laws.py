@@ -184,6 +184,20 @@ def test_step_of_a_parameter_without_influence_stays_within_its_bounds():
     assert (np.abs(step) <= 0.3).all()
 
 
+def test_step_within_bounds_is_where_no_bound_holds_it_back():
+    """Of parameters that act nearly alike; at a bound the cost rises inwards, else it is flat."""
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        rows = rng.standard_normal((40, 1)) + 0.05 * rng.standard_normal((40, 12))
+        square, slope = rows.T @ rows, rows.T @ rng.standard_normal(40)
+        step, gain = least_step(square, slope, np.full(12, -0.3), np.full(12, 0.3))
+        push, size = slope + square @ step, np.abs(slope).max()
+        assert gain == pytest.approx(-(slope + 0.5 * square @ step) @ step)
+        assert np.abs(push[np.abs(step) < 0.3]).max(initial=0.0) < 1e-6 * size
+        assert (push[step == 0.3] <= 1e-6 * size).all()
+        assert (push[step == -0.3] >= -1e-6 * size).all()
+
+
 @pytest.mark.parametrize('damping', [pytest.param(0.0, marks=pytest.mark.slow), 375.7])
 def test_improved_model_of_friction_is_the_machine(damping):
     """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
