@@ -88,6 +88,7 @@ SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
 QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
+NEGLIGIBLE = 0.1   # mean square residual, in error floors, in which no effect hides that matters
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
 
@@ -316,10 +317,11 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
 
 
 def leaves_more_than_noise(weighed: Weighed) -> bool:
-    """Return whether the nominal model of a joint leaves more than can be noise."""
+    """Return whether the nominal model of a joint leaves more than can be noise, or be small."""
     group, left = weighed.group, weighed.candidates[()].fitted.held_out
     return not group.floor_measured and any(
-        left[channel] > QUIET_RATIO * group.noise[channel] ** 2 for channel in group.channels)
+        left[channel] > max(QUIET_RATIO * group.noise[channel] ** 2,
+                            NEGLIGIBLE * group.error_floor[channel]) for channel in group.channels)
 
 
 def _log_odds_against_values(candidate: Candidate, group: Group) -> float:

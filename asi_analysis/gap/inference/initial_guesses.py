@@ -333,7 +333,7 @@ def _response(recording: Recording, p: np.void, count: int) -> Complex:
     if simulator.of_simulator(p):
         return simulator.valve_response(recording, p, _response_samples(recording), count)
     for name in ('valve_hysteresis_model', 'loop_width', 'command_deadband', 'command_bias',
-                 'command_quantum', 'valve_limit', 'servo_upper'):
+                 'command_quantum', 'valve_limit', 'servo_limited'):
         linear[name] = 0
     step = np.zeros((2, _response_samples(recording)))
     step[0, 1:] = 1.0

@@ -19,7 +19,9 @@ STRIBECKS: Final = (0.01, 0.05, 0.2)
 FAST: Final = 0.99
 LOAD_FREQUENCIES: Final = (0.6, 1.0, 1.7, 3.0)
 LOAD_DAMPINGS: Final = (0.0, 0.15, 0.4)
-REACHED: Final = (0.95, 0.8, 0.6)   # where a limit of the reference may be, as a share of it
+# Where a limit of the reference may be, as shares of its distance from the mean: bounds, guesses.
+LIMITED: Final = (0.2, 1.3)
+REACHED: Final = (0.95, 0.8, 0.6)
 INTEGRALS: Final = (0.0, 0.3, 2.0)   # rate of the integral action over the natural frequency
 MOST_LEAD: Final = 6.0   # of a servo, as a multiple of its damping over its stiffness
 MOST_LAG: Final = 1.5    # of integral action, as a multiple of the lead
@@ -73,9 +75,13 @@ def limited_reference(recordings: Sequence[Recording]) -> Variant:
     Two, since the origin of a reference is arbitrary: what is symmetric to one is not to another.
     """
     reference = np.concatenate([r.input[r.valid] for r in recordings])
-    return Variant(tuple(Free(f'servo_{name}', 0.2 * most, 1.3 * most, tuple(
-        share * most for share in REACHED), '', 'm') for name, most in (
-            ('upper', float(reference.max())), ('lower', -float(reference.min())))), ('valve',))
+    middle = float(reference.mean())
+    free = []
+    for name, end in (('upper', float(reference.max())), ('lower', float(reference.min()))):
+        low, high = sorted(middle + share * (end - middle) for share in LIMITED)
+        free.append(Free(f'servo_{name}', low, high, tuple(
+            middle + share * (end - middle) for share in REACHED), '', 'm'))
+    return Variant(tuple(free), ('valve',), (('servo_limited', 1.0),))
 
 
 def swapped(servos: Sequence[Servo]) -> list[Servo]:

@@ -23,8 +23,9 @@ POSITION, RATE, OUTPUT, LOAD, LOAD_RATE, TAKEN = range(STATES)
 SERVO_FIELDS = (
     'servo_rate',               # m/s, limit
     'servo_acceleration',       # m/s2, limit
-    'servo_upper',              # m, highest reference that it follows; 0: no limits
-    'servo_lower',              # m, lowest one, counted downwards
+    'servo_limited',            # 1: it follows its reference within two limits only
+    'servo_upper',              # m
+    'servo_lower',              # m
     'servo_lead',               # s, of its damping, as far as it acts on the reference
     'servo_lag_share',          # of the lead: the lag of its integral action
     'servo_friction',           # m, its sliding friction over the stiffness of its loop
@@ -42,8 +43,8 @@ SERVO_DTYPE = np.dtype([(name, np.float64) for name in SERVO_FIELDS])
 @jit
 def within(reference, e):
     """Return a reference within the limits between which a servo follows it."""
-    if e.servo_upper > 0.0:
-        return min(max(reference, -e.servo_lower), e.servo_upper)
+    if e.servo_limited > 0.5:
+        return min(max(reference, e.servo_lower), e.servo_upper)
     return reference
 
 
