@@ -77,7 +77,8 @@ class Recording:
     # What each error of the valve's fit, of a standard deviation, changes of the simulator's
     # predictions behind it: n x k, by channel.
     valve_errors: dict[str, Array] = field(default_factory=dict)
-    # What the nominal model of a joint removed: gravity_sine and gravity_cosine Nm, constant N.
+    # What was removed: reference of a servo m; by the nominal model of a joint gravity_sine and
+    # gravity_cosine Nm, constant N.
     taken: Mapping[str, float] = field(default_factory=dict)
     cache: dict[str, dict[Hashable, Array]] = field(default_factory=dict)   # by kind and key
 
@@ -194,12 +195,18 @@ def _begins_at_rest(signals: Mapping[str, Array], period: float) -> bool:
     return _within_noise(signals, count)
 
 
-def _with_centred_origin(signals: dict[str, Array], drive: str, run: Run) -> None:
-    """Move the arbitrary origin of a joint's coordinate to the mean of its motion, in place."""
-    if drive == 'position' and run.controlled() == 'position' and 'reference' in signals:
-        origin = signals['reference'].mean()
+def middle_of(run: Run) -> float:
+    """Return the mean of a servo's reference if that is a position, of any origin; else 0."""
+    if run.controlled() != 'position' or run.reference_n is None:
+        return 0.0
+    return float(np.nanmean(run.reference_n))
+
+
+def _with_centred_origin(signals: dict[str, Array], drive: str, middle: float) -> None:
+    """Move the arbitrary origin of a joint's coordinate to the middle of its motion, in place."""
+    if drive == 'position':
         for name in {'reference', 'position'} & signals.keys():
-            signals[name] = signals[name] - origin
+            signals[name] = signals[name] - middle
     elif drive == 'force' and 'position' in signals:
         signals['position'] = signals['position'] - signals['position'].mean()
 
@@ -226,8 +233,12 @@ def _sources(run: Run, drive: str) -> dict[str, str]:
     return {name: name for name in ('command', 'force', 'valve_position', 'position', 'velocity')}
 
 
-def _signals(run: Run, drive: str) -> _Signals:
-    """Return the signals of a run that move; raises InputError if there is nothing to compare."""
+def _signals(run: Run, drive: str, middle: float = 0.0) -> _Signals:
+    """
+    Return the signals of a run that move; raises InputError if there is nothing to compare.
+
+    middle: of a position servo, from which its reference and position count, m or rad.
+    """
     period, time, signals, faded = uniform(run, by_rows=drive == 'drive')
     thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
     if drive == 'force' and thinned > 1:
@@ -237,7 +248,7 @@ def _signals(run: Run, drive: str) -> _Signals:
     origin = _origin(signals) if drive == 'valve' else None
     if origin is not None:
         signals['position'] = signals['position'] - origin
-    _with_centred_origin(signals, drive, run)
+    _with_centred_origin(signals, drive, middle)
     sources = _sources(run, drive)
     moving = {name: signals[source] for name, source in sources.items()
               if source in signals and np.ptp(signals[source]) > 0.0}
@@ -250,7 +261,9 @@ def _signals(run: Run, drive: str) -> _Signals:
                          'follows from it, or a force and a motion; signals that move here: '
                          + (', '.join(name for name, values in signals.items()
                                       if np.ptp(values) > 0.0) or 'none'))
-    noise = {name: noise_of(values) * faded[sources[name]] for name, values in moving.items()}
+    # Of a signal that was thinned, the fast noise is filtered out.
+    noise = {name: noise_of(values) * (faded[sources[name]] if thinned <= 1 else 1.0)
+             for name, values in moving.items()}
     return _Signals(period, time, moving, noise, origin)
 
 
@@ -289,7 +302,8 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
     frequency that is compared, of a joint whose force is commanded.
     Raises InputError if one is too short, misses too many samples or holds nothing to compare.
     """
-    read = [_signals(run, drive) for run in runs]
+    middle = middle_of(runs[0])   # one for all, as limits of the reference are
+    read = [_signals(run, drive, middle) for run in runs]
     band = _band(read, drive, band_hz)
     recordings: list[Recording] = []
     whole = held_out if held_out is not None and any(held_out) else None
@@ -321,7 +335,7 @@ def prepare(runs: Sequence[Run], drive: str = 'valve', held_out: Sequence[bool] 
             raw_velocity=moving.get('velocity'), raw_position=moving.get('position'),
             motion=motion, at_rest=_begins_at_rest(moving, period), origin_m=origin,
             force_judged=judged(force, motion) if force is not None and motion else None,
-            noise=noise,
+            noise=noise, taken={'reference': middle} if drive == 'position' else {},
             fit=fit, held_out=held, report=report,
             number=sum(bool(r.fit.any()) for r in recordings) if fit.any() else 0))
     if not all(any(part(each).any() for each in recordings)

@@ -33,19 +33,20 @@ from asi_common.parameter import Value, defaults
 # Fields of the diagnosis that a `JointModel` has a field for, by the channel that they are of.
 HELD: Final = {
     'load': frozenset(('load_mass', 'load_damping', 'load_stiffness', 'load_offset', 'drive_hold',
-                       'drive_delay', 'drive_lag', 'drive_loss', 'viscous', 'friction_level',
-                       'friction_asymmetry', 'gravity_sine', 'gravity_cosine')),
+                       'drive_held', 'drive_delay', 'drive_lag', 'drive_loss', 'viscous',
+                       'friction_level', 'friction_asymmetry', 'gravity_sine', 'gravity_cosine')),
     'valve': frozenset(('valve_characteristic_gain', 'command_delay', 'command_bias', 'valve_lag',
                         'valve_limit', 'valve_flexure_natural_frequency',
                         'valve_flexure_damping_ratio', 'servo_rate', 'servo_acceleration',
-                        'servo_friction'))}
+                        'servo_friction', 'servo_upper', 'servo_lower'))}
 # Fields that the parameters of a node hold.
 WRITTEN: Final = {
     'load': HELD['load'] | {
         'friction_breakaway', 'backlash', 'compliance', 'disturbance', 'disturbance_wave',
         'disturbance_frequency', 'disturbance_pulse', 'disturbance_start', 'disturbance_end',
         'sensor_offset', 'sensor_gain_error', 'sensor_lag', 'sensor_drift'},
-    'valve': HELD['valve'] | {'command_quantum', 'command_deadband', 'servo_breakaway'}}
+    'valve': HELD['valve'] - {'servo_upper', 'servo_lower'} | {
+        'command_quantum', 'command_deadband', 'servo_breakaway'}}
 # Parameters of a node that are written even where they have the default.
 ALWAYS: Final = frozenset(('joint.type', 'load.mass', 'load.damping'))
 PARAMETERS: Final = frozenset(parameter.name for parameter in JOINT_PARAMETERS)
@@ -249,13 +250,15 @@ def _followed(weighed: Weighed, p: np.void, run: Run) -> JointModel:
         notes = {'servo': f'kp and kv are of a servo that follows within {digits(late, "s")}: the '
                           'recording shows no slower one'}
     shift, most = float(p['command_bias']), (float(p['valve_limit']) or np.inf) / gain
+    lowest, highest = ((float(p['servo_lower']), float(p['servo_upper'])) if p['servo_limited']
+                       else (-most, most))
     return JointModel(
         run.unit('position') == 'rad', 1.0, gain=w * w * gain, kp=w * w,
         bias=w * w * (origin * (1.0 - gain) + gain * shift),
         kv=0.0 if limited else 2.0 * damping * w, damping=2.0 * damping * w if limited else 0.0,
         friction=w * w * float(p['servo_friction']),
-        delay_s=delay, lag_s=lag, least_command=origin - shift - most,
-        most_command=origin - shift + most,
+        delay_s=delay, lag_s=lag, least_command=origin - shift + lowest,
+        most_command=origin - shift + highest,
         most_push=most_push, most_speed=rate,
         period_s=recording.period_s, notes=notes, unsaid=unsaid,
         travel=(float(np.nanmin(run.position_m)), float(np.nanmax(run.position_m))),

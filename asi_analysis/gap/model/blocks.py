@@ -122,7 +122,8 @@ EFFECT_FIELDS = (
     'load_offset',              # N, constant force of a joint's nominal model
     'gravity_sine',             # N m sin q, gravity beyond that which was subtracted
     'gravity_cosine',           # N m cos q
-    'drive_hold',               # s, mean delay of a held command of a joint, at most a sample
+    'drive_hold',               # s, delay of the command or force of a joint, at most a sample
+    'drive_held',               # s2, square of the time for which it is held, the same
     'drive_delay',              # s, further delay
     'position_gain_error',      # share by which a joint's motion is read too large
     'drive_loss',               # share of the force that a joint's command no longer makes
@@ -723,13 +724,13 @@ def drive_inverse(omega: Array, p: np.void) -> Complex:
     """
     Return the frequency response from force to command of a joint's drive: its inverse.
 
-    A command that is held for a time comes late by half of it, and its fast part is attenuated.
+    The fast part of a command is attenuated by holding it.
     """
     s = 1j * omega
     late = p['drive_hold'] + p['drive_delay']
     response = (np.exp(s * late) if late != 0.0 else np.ones_like(s)) / (1.0 - p['drive_loss'])
-    held = min(2.0 * abs(p['drive_hold']), np.pi / omega[-1])   # at most a sample
-    response /= np.sinc(0.5 * omega * held / np.pi)
+    if p['drive_held'] > 0.0:
+        response /= np.sinc(0.5 * omega * math.sqrt(p['drive_held']) / np.pi)
     if p['drive_lag'] != 0.0:
         split = p['drive_lag_split']
         response *= (1.0 + s * p['drive_lag'] * (1.0 - split)) * (1.0 + s * p['drive_lag'] * split)

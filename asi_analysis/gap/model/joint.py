@@ -305,9 +305,10 @@ def _servo(recordings: Sequence[Recording], tolerance: float, proportional: bool
 
 def _with_least_noise(recording: Recording, nominal: np.void) -> Recording:
     """Return the recording of a drive, of whose output a rough command makes no noise."""
-    left = noise_of(recording.output - predict(recording, 'valve', nominal))
-    return replace(recording, noise={**recording.noise, 'valve_position': min(
-        left, recording.noise['valve_position'])})
+    left = noise_of(recording.output - predict(replace(recording, number=0), 'valve', nominal))
+    share = min(left / (noise_of(recording.output) or math.inf), 1.0)
+    return replace(recording, noise={
+        **recording.noise, 'valve_position': share * recording.noise['valve_position']})
 
 
 def servo_effects(recordings: Sequence[Recording], proportional: bool = False,
@@ -349,6 +350,8 @@ def _gain(recordings: Sequence[Recording]) -> float:
     """Return the gain from command to force, by least squares."""
     command = np.concatenate([r.input[r.fit] for r in recordings])
     force = np.concatenate([r.output[r.fit] for r in recordings])
+    if not command.any():
+        raise InputError(f'{recordings[0].source}: the command moves only where nothing is fitted')
     return float(command @ force / (command @ command))
 
 
@@ -395,6 +398,9 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     # A held command has a mean delay of half a sample, and its time stamp may be off by as much;
     # a force may be sampled before the next command.
     nuisance.append(Free('drive_hold', -period if force_measured else 0.0, period, (0.0,)))
+    # A measured force may be held, too. By the square of that time, since so it attenuates.
+    held = 0.0 if force_measured else period ** 2
+    nuisance.append(Free('drive_held', 0.0, period ** 2, (held,)))
     travel = max(float(np.ptp(r.motion.position[r.motion.inner]))
                  for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,

@@ -56,7 +56,8 @@ LONGEST_MEAN: Final = 0.01   # longest moving average of an input, as a share of
 
 # Sizes of effects that count from the origin of a signal.
 ABSOLUTE: Final = {'deadband_centre': 'input', 'asymmetry_centre': 'input',
-                   'limit_above': 'output', 'limit_below': 'output'}
+                   'limit_above': 'output', 'limit_below': 'output',
+                   'servo_upper': 'reference', 'servo_lower': 'reference'}
 
 
 def _forms(*forms: tuple[Free, ...], bend: float = 0.0) -> tuple[Variant, ...]:

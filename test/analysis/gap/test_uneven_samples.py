@@ -1,13 +1,17 @@
 """Joints whose samples are unevenly spaced, or held: simulated exactly between the samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer.joint_model import joint_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.sampling import noise_of, uniform
+from asi_analysis.gap.sizes import sizes_of
 
 PERIOD_S = 0.01
 MODEL = {'load.mass': 0.5, 'load.damping': 2.0}
@@ -117,8 +121,59 @@ def test_a_limit_of_a_reference_is_found_about_any_origin(origin: float):
     reference = sines(time) + origin
     found = of_joint(servo(time, reference, np.clip(reference, -0.9, 0.55)))
     assert found.verdict == ('valve_saturation',)
-    values = found.best(found.groups[0]).fitted.values
-    assert values['servo_upper'] + reference.mean() == pytest.approx(0.55, abs=0.01)
+    sizes = sizes_of(found, found.verdict)['valve_saturation']['parameters']
+    assert sizes['servo_upper'] == pytest.approx(0.55, abs=0.005)
+    model = joint_model(found)   # what is exported
+    assert model.most_command == pytest.approx(0.55, abs=0.01)
+    assert model.kp == pytest.approx((8.0 * np.pi) ** 2, rel=0.02)
+
+
+def test_two_recordings_share_the_limits_of_their_reference():
+    # Each counted from its own mean. Of two recordings each drive and servo was a ValueError.
+    time = PERIOD_S * np.arange(1000)
+    references = [sines(time), sines(time + 3.0) + 0.4]
+    found = diagnose([servo(time, each, np.minimum(each, 0.5)) for each in references], {},
+                     'joint')
+    assert found.verdict == ('valve_saturation',)
+    sizes = sizes_of(found, found.verdict)['valve_saturation']['parameters']
+    assert sizes['servo_upper'] == pytest.approx(0.5, abs=0.005)
+
+
+def test_two_recordings_of_a_drive_have_no_gap():
+    time = PERIOD_S * np.arange(1000)
+    commands = [4.0 * sines(time), 3.0 * sines(time + 3.0)]
+    found = diagnose([driven(time, each, each) for each in commands], {}, 'joint')
+    assert found.joined[()] > 0.9
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_limit_of_a_velocity_that_has_one_sign_is_found(sign: float):
+    time = PERIOD_S * np.arange(1000)
+    speed = sign * (1.5 + sines(time))
+    run = servo(time, speed, sign * np.minimum(np.abs(speed), 1.9))
+    run = replace(run, position_m=None, velocity_m_s=run.position_m, information={
+        'signals': {'reference': 'rad/s', 'velocity': 'rad/s'}})
+    found = of_joint(run)
+    assert found.verdict == ('valve_saturation',)
+    sizes = sizes_of(found, found.verdict)['valve_saturation']['parameters']
+    assert sizes['servo_upper' if sign > 0.0 else 'servo_lower'] == pytest.approx(
+        1.9 * sign, abs=0.02)
+
+
+@pytest.mark.parametrize('late', [-0.5, 0.5])
+def test_a_measured_force_whose_stamp_is_half_a_sample_off_has_no_lag(late: float):
+    # It was attenuated as if it were held: a lag of the sensor, 1.00.
+    time = 2.0 * PERIOD_S * np.arange(1500)
+    rng, force, x = np.random.default_rng(9), 0.0, 0.0
+    for f in np.arange(0.43, 6.0, 0.37):
+        w = 2.0 * np.pi * f
+        force += np.sin(w * time + f * f)
+        x += np.imag(np.exp(1j * (w * (time + 2.0 * late * PERIOD_S) + f * f))
+                     / (-0.5 * w * w + 2j * w))
+    run = Run(time, force_n=force + rng.normal(0.0, 1e-3, time.size),
+              position_m=x + rng.normal(0.0, 1e-5, time.size), source='joint',
+              information={'signals': {'force': 'N', 'position': 'm'}})
+    assert of_joint(run).joined[()] > 0.9
 
 
 def test_a_held_command_is_attenuated_as_much_as_its_hold_makes_it():

@@ -83,9 +83,9 @@ def in_rows(recordings: Sequence[Recording]) -> list[Recording]:
 
     A log may have a command in the row of its answer: a convention, not a delay.
     """
-    if np.argmax(_explained(recordings)) > 0:
-        return list(recordings)
-    return [replace(r, command=np.append(r.input[1:], r.input[-1])) for r in recordings]
+    earlier = [replace(r, command=np.append(r.input[1:], r.input[-1])) for r in recordings]
+    same_row = np.argmax(_explained(recordings)) == 0 and all(np.ptp(r.input) for r in earlier)
+    return earlier if same_row else list(recordings)
 
 
 def _explained(recordings: Sequence[Recording]) -> Array:
