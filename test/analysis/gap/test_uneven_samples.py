@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.answer.joint_model import joint_model
 from asi_analysis.gap.diagnose import Diagnosis, diagnose
+from asi_analysis.gap.model.joint import joint_groups
 from asi_analysis.gap.prepare import prepare
 from asi_analysis.gap.sampling import noise_of, uniform
 from asi_analysis.gap.sizes import sizes_of
@@ -187,6 +188,26 @@ def test_a_held_command_is_attenuated_as_much_as_its_hold_makes_it():
     assert found.verdict == ()
     assert found.groups[-1].candidates[()].fitted.values['drive_hold'] == pytest.approx(
         0.01, rel=0.05)
+
+
+def test_a_rough_command_makes_no_backlash_without_a_gap():
+    # The guess of its width was 0, and so were its bounds: a ZeroDivisionError.
+    time = 2.0 * PERIOD_S * np.arange(1500)
+    rough = np.random.default_rng(7).normal(0.0, 4.0, time.size)
+    x = held(time, rough, np.array([[0.0, 1.0], [0.0, -4.0]]), np.array([0.0, 2.0]))[:, 0]
+    x += np.random.default_rng(8).normal(0.0, 2e-6, x.size)
+    run = Run(time, command_n=rough, position_m=x, source='joint', information={
+        'signals': {'command': 'N', 'position': 'm'}})
+    group, = joint_groups([run], {}, 0.2, [False], 'force')[0]
+    assert all(free.low < free.high for form in group.effects['backlash'] for free in form.free)
+
+
+def test_the_ends_of_a_recording_are_left_out():
+    # For a period of the highest frequency that is compared: filters ring there.
+    recording, = prepare([moved(PERIOD_S * np.arange(1500))], 'force', band_hz=10.0)
+    reach = round(0.8 / (recording.moved.edge_hz * PERIOD_S))   # its edge is a little lower
+    assert not recording.valid[:reach].any() and not recording.valid[-reach:].any()
+    assert recording.valid[2 * reach:-2 * reach].mean() > 0.9
 
 
 def test_no_gap_is_not_sure_where_far_more_than_noise_is_left():
