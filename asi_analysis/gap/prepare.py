@@ -240,8 +240,10 @@ def _signals(run: Run, drive: str, middle: float = 0.0) -> _Signals:
     middle: of a position servo, from which its reference and position count, m or rad.
     """
     period, time, signals, faded = uniform(run, by_rows=drive == 'drive')
-    thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5)
-    if drive == 'force' and thinned > 1:
+    thinned = int(1.0 / (JOINT_RATE_HZ * period) + 0.5) if drive == 'force' else 1
+    if thinned > 1:
+        # The fast noise is filtered out.
+        faded = dict.fromkeys(signals, 1.0)
         signals = {name: resample_poly(values, 1, thinned, padtype='line')
                    for name, values in signals.items()}
         period, time = period * thinned, time[::thinned]
@@ -261,9 +263,7 @@ def _signals(run: Run, drive: str, middle: float = 0.0) -> _Signals:
                          'follows from it, or a force and a motion; signals that move here: '
                          + (', '.join(name for name, values in signals.items()
                                       if np.ptp(values) > 0.0) or 'none'))
-    # Of a signal that was thinned, the fast noise is filtered out.
-    noise = {name: noise_of(values) * (faded[sources[name]] if thinned <= 1 else 1.0)
-             for name, values in moving.items()}
+    noise = {name: noise_of(values) * faded[sources[name]] for name, values in moving.items()}
     return _Signals(period, time, moving, noise, origin)
 
 

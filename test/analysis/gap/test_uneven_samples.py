@@ -82,6 +82,19 @@ def test_noise_is_that_of_what_was_recorded():
     assert recording.noise['position'] == pytest.approx(1e-3, rel=0.15)
 
 
+@pytest.mark.parametrize('drive', ['position', 'force'])
+def test_noise_of_fast_uneven_samples_is_that_of_what_is_compared(drive: str):
+    # A servo is compared at 5 kHz: its noise is all of it. A force is, at 1 kHz: it is filtered.
+    time = uneven(8000) * 0.0002 / PERIOD_S
+    rng = np.random.default_rng(1)
+    run = Run(time, command_n=sines(time), reference_n=sines(time),
+              position_m=sines(time) + rng.normal(0.0, 1e-3, time.size), source='fast',
+              information={'signals': {'command': 'N', 'position': 'm', 'reference': 'm'}})
+    recording, = prepare([run], drive)
+    noise = recording.noise['valve_position' if drive == 'position' else 'position']
+    assert noise == pytest.approx(1e-3 if drive == 'position' else 4e-4, rel=0.15)
+
+
 @pytest.mark.parametrize(('damping', 'verdict'), [
     (2.0, ()), pytest.param(4.0, ('viscous_friction',), marks=pytest.mark.slow)])
 def test_a_joint_of_uneven_samples_has_no_compliance(damping: float, verdict: tuple[str, ...]):
