@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.gap.inference.fit import AT_LIMIT, Fitted
 from asi_analysis.gap.inference.probability import marginals
@@ -35,6 +37,15 @@ def _holding(diagnosis: Diagnosis, name: str) -> tuple[Fitted, tuple[Free, ...]]
     return None
 
 
+def is_shown(fitted: Fitted, field: str) -> bool:
+    """Return whether recordings show a size: not a limit that their reference never reaches."""
+    if field not in ('servo_upper', 'servo_lower'):
+        return True
+    reference = np.concatenate([r.input[r.valid] for r in fitted.problem.group.recordings])
+    limit = fitted.values[field]
+    return bool(reference.max() > limit if field == 'servo_upper' else reference.min() < limit)
+
+
 def sizes_of(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the fitted parameters of effects, by effect: values, intervals, units, limits."""
     known: dict[int, Likelihood] = {}   # shared by all effects of a hypothesis
@@ -51,7 +62,7 @@ def sizes_of(diagnosis: Diagnosis, names: Sequence[str]) -> dict[str, dict[str, 
         group = fitted.problem.group
         of_the_effect = {free.field: free for free in frees}
         for free, share in zip(fitted.free, fitted.theta, strict=True):
-            if (field := free.field) not in of_the_effect:
+            if (field := free.field) not in of_the_effect or not is_shown(fitted, field):
                 continue
             zero = zero_of(group, field)
             row['parameters'][field] = fitted.values[field] + zero

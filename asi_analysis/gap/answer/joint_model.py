@@ -26,6 +26,8 @@ from asi_analysis.gap.model.model_file import (
     external_force,
     friction_parameters,
 )
+from asi_analysis.gap.model.static import zero_of
+from asi_analysis.gap.sizes import is_shown
 from asi_analysis.gap.words import SIZES, between, digits, in_words, unit_of_free
 from asi_common.jit import FULL
 from asi_common.parameter import Value, defaults
@@ -373,12 +375,14 @@ def _sizes(diagnosis: Diagnosis, weighed: Weighed, candidate: Candidate) -> dict
     for free in fitted.free:
         field, _, recording = free.field.partition('@')
         word = NAMES.get(field) or SIZES.get(field)
-        if word is None or fitted.record[free.field] == 0.0 or (recording and field in NAMES):
+        if (word is None or fitted.record[free.field] == 0.0 or (recording and field in NAMES)
+                or not is_shown(fitted, free.field)):
             continue
         unit = '' if field == 'valve_characteristic_gain' else unit_of_free(
             free, channel, diagnosis.runs[0], 'joint')
         low, high = interval(fitted, known, free.field)
-        size = between(float(fitted.record[free.field]), low, high, unit)
+        zero = zero_of(weighed.group, field)
+        size = between(zero + float(fitted.record[free.field]), zero + low, zero + high, unit)
         found[free.field] = (f'{effects.get(free.field, "")}{word} {size}'
                              + (f' in recording {recording}' if recording else ''))
     return found

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from asi_analysis.bags.run import Run
-from asi_analysis.gap.answer.joint_model import joint_model
+from asi_analysis.gap.answer.joint_model import joint_model, node_parameters
 from asi_analysis.gap.diagnose import Diagnosis, diagnose
 from asi_analysis.gap.model.joint import joint_groups
 from asi_analysis.gap.prepare import prepare
@@ -138,6 +138,9 @@ def test_a_limit_of_a_reference_is_found_about_any_origin(origin: float):
     sizes = sizes_of(found, found.verdict)['valve_saturation']['parameters']
     assert sizes['servo_upper'] == pytest.approx(0.55, abs=0.005)
     model = joint_model(found)   # what is exported
+    # The node's parameters have no field for it: said with the same number, not from the mean.
+    left_out, = node_parameters(found, {})[2]
+    assert 'upper limit of the reference 0.550' in left_out
     assert model.most_command == pytest.approx(0.55, abs=0.01)
     assert model.kp == pytest.approx((8.0 * np.pi) ** 2, rel=0.02)
 
