@@ -73,8 +73,8 @@ from asi_common.record import field_name
 
 OTHER_LAWS = ("the simulator's own laws leave a gap, and no effect is found that closes it: laws "
               'of another form do, or an effect that they hide')
-MORE_THAN_NOISE = ('the model leaves far more than noise, though no more than that of a joint '
-                   'usually does: an effect may hide in that')
+MORE_THAN_NOISE = ('the model leaves far more than noise, but within the usual error of a '
+                   "joint's model: an effect may hide in it")
 # Effects that may be a constant force, which only the zero of the position tells apart.
 CONSTANT = {'disturbance_force', 'valve_bias', 'sensor_offset'}
 
