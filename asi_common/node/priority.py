@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-from pathlib import Path
 from typing import Final
 
 from rclpy.node import Node
@@ -23,15 +22,23 @@ def prefer(node: Node) -> None:
     if not priority:
         return
     try:
-        for thread in Path('/proc/self/task').iterdir():
-            with contextlib.suppress(ProcessLookupError):   # it has ended
-                os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+        _raise_all(priority)
     except (AttributeError, OSError) as error:   # the first: not on this system
         node.get_logger().info(
             f'no real-time priority ({PARAMETER} = {priority}): {error}. Other programs may delay '
             'this loop: doc/how_to/ros_conventions.md')
     else:
         node.get_logger().info(f'real-time priority {priority}')
+
+
+def _raise_all(priority: int) -> None:
+    """Raise every thread of this process, until none is new: one may have made another meanwhile."""
+    raised: set[int] = set()
+    while new := set(map(int, os.listdir('/proc/self/task'))) - raised:
+        for thread in new:
+            with contextlib.suppress(ProcessLookupError):   # it has ended
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+        raised |= new
 
 
 def in_real_time(node: Node) -> bool:

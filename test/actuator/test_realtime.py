@@ -1,5 +1,6 @@
 """Real time over DDS: a step, the watchdog, the services, /diagnostics, clean ends."""
 
+import contextlib
 import ctypes
 import os
 import re
@@ -383,9 +384,11 @@ def test_time_goes_on_evenly_when_the_system_clock_is_set(
 
 def policies(node: NodeProcess) -> set[tuple[int, int]]:
     """Return the scheduling policy and the priority of the threads of a node."""
-    threads = [int(task.name) for task in Path(f'/proc/{node.pid}/task').iterdir()]
-    return {(os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority)
-            for thread in threads}
+    found = set()
+    for thread in map(int, os.listdir(f'/proc/{node.pid}/task')):
+        with contextlib.suppress(ProcessLookupError):   # it has ended
+            found.add((os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority))
+    return found
 
 
 def without_permission() -> None:
@@ -401,7 +404,8 @@ def test_in_real_time_every_thread_has_the_priority_that_is_permitted(
     node = start_node(CONTROLLER, mode='realtime', thread_priority=7)
     node.wait_for('real-time priority')
     if 'no real-time priority' not in node.text:
-        wait_until(lambda: policies(node) == {(os.SCHED_FIFO, 7)}, 'the priority')
+        wait_until(lambda: policies(node) == {(os.SCHED_FIFO, 7)}, 'the priority',
+                   lambda: f'{policies(node)}\n{node.text}')
     refused = NodeProcess(
         [sys.executable, '-m', CONTROLLER, '--ros-args', '-p', 'mode:=realtime'],
         ros_environment, tmp_path / 'refused.log', without_permission)
