@@ -32,7 +32,7 @@ def prefer(node: Node) -> None:
 
 
 def _raise_all(priority: int) -> None:
-    """Raise every thread of this process, until none is new: one may have made another meanwhile."""
+    """Raise every thread of this process, until none is new: one may make another meanwhile."""
     raised: set[int] = set()
     while new := set(map(int, os.listdir('/proc/self/task'))) - raised:
         for thread in new:
