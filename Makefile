@@ -73,7 +73,7 @@ docs: setup $(VENV)/documented
 VERSION := -c 'import sys; print(sys.version_info[:2])'
 
 # With what the tests, the checks and the benchmarks need.
-setup: ready $(VENV)/tested
+setup: ready $(VENV)/tested $(VENV)/diagnosed
 
 # A PYTHON that is named is the one that is used, or make stops.
 ready: $(VENV)/compiled
@@ -101,6 +101,12 @@ $(VENV)/installed: setup.py setup.cfg pyproject.toml Makefile
 # Beside what follows, with make -j2.
 $(VENV)/compiled: $(VENV)/installed
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
+	@touch $@
+
+# The diagnosis, too: else each worker of the tests would.
+$(VENV)/diagnosed: $(VENV)/compiled
+	@for world in joint textbook; do $(BIN)/asi gap check --world $$world --cases 1 --jobs 1 \
+	  --out $(VENV)/world_$$world > /dev/null || exit 1; done
 	@touch $@
 
 # What a demo does not need: the first thing that a new user sees comes sooner.

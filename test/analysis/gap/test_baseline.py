@@ -76,6 +76,7 @@ def rigid(inertia: float, seed: int) -> Run:
     return run.between(0.0, 6.0)
 
 
+@pytest.mark.slow
 def test_a_heavier_load_is_named_but_not_a_little_more():
     heavier = asked(rigid(0.024, 3), rigid(0.02, 1), rigid(0.02, 2))
     assert heavier.verdict == 'parameter:load.mass'
@@ -99,7 +100,8 @@ ONE_WAY = pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a
 
 @ONE_WAY
 @pytest.mark.parametrize(('gain', 'seed'), [
-    (1.4, 1), (0.7, 4)])   # (0.7, 4): its disturbance is as large in a healthy recording
+    pytest.param(1.4, 1, marks=pytest.mark.slow),
+    (0.7, 4)])   # (0.7, 4): its disturbance is as large in a healthy recording
 def test_another_mean_torque_of_a_joint_that_turns_one_way_is_undecided(gain: float, seed: int):
     """Friction, load and the sensor's gain are alike there."""
     answer = asked(turning(gain, seed + 2), turning(1.0, seed), turning(1.0, seed + 1))
@@ -149,7 +151,7 @@ def test_a_torque_within_the_tolerance_but_beyond_the_healthy_ones_is_no_sure_an
 
 @pytest.mark.filterwarnings('ignore:.*position')
 @pytest.mark.parametrize('velocity', [False, True])
-@pytest.mark.parametrize('offset', [0.3, 5.0])
+@pytest.mark.parametrize('offset', [pytest.param(0.3, marks=pytest.mark.slow), 5.0])
 def test_an_offset_of_the_torque_is_undecided_and_a_small_one_is_none(offset: float,
                                                                       velocity: bool):
     runs = [rigid(0.02, seed) for seed in (3, 1, 2)]    # 2.8 Nm (rms), healthy without an offset
@@ -177,7 +179,9 @@ def test_a_quicker_servo_is_named_and_the_same_one_has_not_changed():
 
 
 @pytest.mark.parametrize('healthy', [
-    (HEALTHY[0],), (HEALTHY[0].between(0.0, 8.0), HEALTHY[0], HEALTHY[0].between(8.0, 16.0))])
+    (HEALTHY[0],), pytest.param((
+        HEALTHY[0].between(0.0, 8.0), HEALTHY[0], HEALTHY[0].between(8.0, 16.0)),
+        marks=pytest.mark.slow)])
 def test_a_healthy_recording_has_not_changed(healthy):
     """In any order of the others, one twice, or one cut in two."""
     answer = asked(HEALTHY[0], *healthy)

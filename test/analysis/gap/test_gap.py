@@ -277,7 +277,8 @@ def test_propagated_noise_of_a_lag_is_smaller():
       'valve_hysteresis__lag_time': 0.0}, 'valve_hysteresis', None, None),
     pytest.param({'force_sensor__offset': 25.0}, 'sensor_offset', 'force_sensor_offset', 25.0,
                  marks=pytest.mark.slow),   # test_free_load_is_explained names one, too
-    ({'load__external_force': 40.0}, 'disturbance_force', 'load_external_force', 40.0),
+    pytest.param({'load__external_force': 40.0}, 'disturbance_force', 'load_external_force', 40.0,
+                 marks=pytest.mark.slow),
 ])
 def test_effect_is_named(changed, effect, field, value):
     answer = document(diagnose([recorded(**changed)[:3000]], TEXTBOOK))

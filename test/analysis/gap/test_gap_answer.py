@@ -40,6 +40,7 @@ def weighed_pair(run: Run, forms: dict[str, int]) -> Weighed:
     return Weighed(group, {(): Candidate((), (), null), names: both}, {(): 0.0, names: 1.0})
 
 
+@pytest.mark.slow
 def test_shares_of_blocks_are_numbers():
     """Without a backlash, what a form of it fixes beside its size is null too."""
     run = recorded(backlash__gap=3e-4, force_sensor__offset=15.0)[:2500]
@@ -68,6 +69,7 @@ def test_effect_of_size_zero_is_no_hypothesis():
         (), ('valve_lag',), ('transport_delay', 'valve_lag')}
 
 
+@pytest.mark.slow
 def test_parameter_at_the_limit_of_its_tolerance_is_said():
     heavy = {**TEXTBOOK, 'load.mass': 0.5 * 1.26}
     # Block by block, a tolerance is a bound.
@@ -195,6 +197,7 @@ def test_next_experiment_is_only_suggested_if_it_separates(separation, missing, 
     assert (found['command'] is not None) == found['separates'] == command
 
 
+@pytest.mark.slow
 def test_model_is_what_the_bag_tells_unless_another_is_given():
     recorded_values = {**TEXTBOOK, 'load.stiffness': 2.2e5}
     run = dataclasses.replace(recorded()[:1000], information={'actuator': recorded_values})

@@ -80,7 +80,8 @@ def test_second_recording_may_have_another_offset():
     assert found['force_sensor_offset@2'] == pytest.approx(-25.0, abs=2.0)
 
 
-@pytest.mark.parametrize('load', [pytest.param('locked', marks=pytest.mark.slow), 'free'])
+@pytest.mark.slow
+@pytest.mark.parametrize('load', ['locked', 'free'])
 def test_recording_may_begin_in_motion(load):
     """A machine without a gap has none in any part of its recording, whatever it did before."""
     nominal = {'load.type': load}
@@ -122,8 +123,9 @@ def test_effect_is_found_in_a_recording_that_begins_in_motion():
             0.004, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('missing', [
-    ('velocity_m_s',), pytest.param(('valve_position_m',), marks=pytest.mark.slow)])
+    ('velocity_m_s',), ('valve_position_m',)])
 def test_what_was_not_recorded_makes_no_gap(missing):
     nominal = {'load.type': 'spring'}
     run = dataclasses.replace(simulated(nominal, duration_s=1.5), **dict.fromkeys(missing))

@@ -165,6 +165,7 @@ def test_a_pulse_begins_and_ends_when_it_does():
         assert found['parameters']['disturbance_end'] == pytest.approx(end, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_pulse_at_steps_is_no_gravity():
     pulse = np.where((5.0 <= TIME_S) & (TIME_S < 10.0), 0.4, 0.0)
     answer = asked([joint(offset=pulse, course=at_steps(5))], plant='joint').to_dict()
@@ -197,7 +198,7 @@ def _soft_joint(reference, gravity, spring, gap, out):
             arm += step * arm_speed
 
 
-@pytest.mark.parametrize('gravity', [0.0, 1.0])
+@pytest.mark.parametrize('gravity', [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_an_arm_behind_a_spring_is_told_while_it_still_swings(gravity):
     """It hangs off its spring at first; gravity is the arm's, most damping the motor's."""
     out = np.empty((2, TIME_S.size))
@@ -296,7 +297,8 @@ def sprung(middle: float = 0.0, seed: int = 0, friction: float = 0.1, unit: str 
 
 
 @pytest.mark.parametrize(('unit', 'middles', 'given'), [
-    ('rad', (0.0,), {}), ('m', (0.3,), {}), ('rad', (0.7, -0.5), {}),
+    ('rad', (0.0,), {}), ('m', (0.3,), {}),
+    pytest.param('rad', (0.7, -0.5), {}, marks=pytest.mark.slow),
     pytest.param('m', (0.0, 1.0), {}, marks=pytest.mark.slow),
     ('rad', (0.0, 1.0), {'load.stiffness': 2.2})])
 @pytest.mark.filterwarnings('ignore:.*constant force is subtracted')
@@ -332,6 +334,7 @@ def test_joint_with_a_reversed_sign_is_refused():
         diagnose([dataclasses.replace(run, command_n=-run.command_n)], {}, 'joint')
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('ignore:the joint moves one way', 'ignore:a constant force')
 def test_friction_that_falls_with_the_speed_is_no_reversed_sign_and_no_disturbance():
     """The mean power is positive; and the wave is that of the motion, which turns on."""

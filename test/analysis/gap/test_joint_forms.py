@@ -102,8 +102,9 @@ def test_a_stiff_coupling_is_found():
     assert answer.which[0]['parameters']['compliance'] == pytest.approx(1.0 / 720.0, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('share', 'verdict'), [
-    (1.1, 'no_gap'), pytest.param(0.5, 'coulomb_friction', marks=pytest.mark.slow)])
+    (1.1, 'no_gap'), (0.5, 'coulomb_friction')])
 def test_a_friction_that_is_given_has_a_tolerance(share: float, verdict: str):
     # A nominal friction off by 10 % was Coulomb friction, 0.84: it alone was taken as exact.
     rng, period, fine = np.random.default_rng(6), 0.004, 40

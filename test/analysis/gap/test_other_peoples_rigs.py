@@ -103,6 +103,7 @@ def test_a_standstill_is_seen_with_an_analog_sensor(creep: float):
     assert not stands(noisy, noise_of(noisy), period, 20.0).any()
 
 
+@pytest.mark.slow
 def test_a_cylinder_on_a_spring_has_friction_alone():
     period, force = 0.005, np.empty(6000)
     time = period * np.arange(6000)

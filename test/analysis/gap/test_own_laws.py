@@ -116,8 +116,8 @@ def test_what_an_uneven_delay_does_not_explain_is_no_delay():
     assert max(diagnosis.joined.values()) < 0.9
 
 
-@pytest.mark.parametrize('spread', [
-    0.0008, pytest.param(0.0031, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize('spread', [0.0008, 0.0031])
 def test_errors_of_an_uneven_delay_are_made_white(monkeypatch, spread):
     """Mean and covariance are those of many runs of the simulator; better with finer cuts."""
     time = np.arange(1200) * 1e-3
@@ -198,7 +198,8 @@ def test_step_within_bounds_is_where_no_bound_holds_it_back():
         assert (push[step == -0.3] >= -1e-6 * size).all()
 
 
-@pytest.mark.parametrize('damping', [pytest.param(0.0, marks=pytest.mark.slow), 375.7])
+@pytest.mark.slow
+@pytest.mark.parametrize('damping', [0.0, 375.7])
 def test_improved_model_of_friction_is_the_machine(damping):
     """Its own friction, with a thrust that is off, is explained to the noise when simulated."""
     run = recorded(friction__model='full', friction__coulomb=20.0, friction__stiction_push=20.0,

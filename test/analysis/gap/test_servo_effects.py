@@ -68,8 +68,9 @@ def test_friction_within_the_block_is_that_of_a_fine_simulation():
 
 
 @pytest.mark.parametrize(('fault', 'verdict'), [
-    ({'friction': 25.0}, 'coulomb_friction'), ({'friction': 40.0, 'breakaway': 2.5}, 'stiction'),
-    ({'late': 0.3}, 'no_gap'), ({}, 'no_gap'),
+    ({'friction': 25.0}, 'coulomb_friction'), ({}, 'no_gap'), *(pytest.param(
+        *each, marks=pytest.mark.slow) for each in (
+            ({'friction': 40.0, 'breakaway': 2.5}, 'stiction'), ({'late': 0.3}, 'no_gap'))),
     pytest.param({'stiffness': 400.0}, 'load_compliance', marks=pytest.mark.slow)])
 def test_what_disturbs_a_servo_is_found_within_its_loop(fault: dict[str, float], verdict: str):
     # A delay, a lag or a backlash, each for sure; a third of a sample was a delay.
@@ -99,7 +100,8 @@ def test_a_servo_that_is_recorded_from_amid_a_motion_is_told(cut: int, told: boo
 
 
 @pytest.mark.parametrize(('fault', 'verdict'), [
-    ({}, ()), ({'stiffness': 400.0}, ('load_compliance',)),
+    ({}, ()),
+    pytest.param({'stiffness': 400.0}, ('load_compliance',), marks=pytest.mark.slow),
     pytest.param({'late': 6.0}, ('transport_delay',), marks=pytest.mark.slow),
     pytest.param({'friction': 25.0}, ('coulomb_friction',), marks=pytest.mark.slow)])
 def test_a_recording_that_begins_amid_a_motion_has_the_verdict_of_the_whole(
@@ -231,6 +233,7 @@ def test_friction_of_a_servo_with_limits_is_no_other_effect(seed: int, first: in
     assert diagnosis_of([part_of(run, first, last)], {}, 'joint').verdict == ('coulomb_friction',)
 
 
+@pytest.mark.slow
 def test_fine_steps_of_a_reference_are_found():
     # Fifty steps over its range, less than 1 % of the motion: they were not looked for.
     rng = np.random.default_rng(4)
@@ -283,7 +286,8 @@ def test_a_lag_of_the_force_sensor_is_not_one_of_the_drive_too():
     assert joint_model(found).gain == pytest.approx(1.0, rel=0.01)
 
 
-@pytest.mark.parametrize(('late', 'verdict'), [(0, 'no_gap'), (8, 'transport_delay')])
+@pytest.mark.parametrize(('late', 'verdict'), [
+    (0, 'no_gap'), pytest.param(8, 'transport_delay', marks=pytest.mark.slow)])
 def test_the_integral_action_of_a_servo_is_no_lag(late: int, verdict: str):
     # A position loop around a velocity loop with integral action: "lag and delay", for sure.
     q, v, integral, out = REFERENCE[0], 0.0, 0.0, []
