@@ -5,6 +5,7 @@ In each step any parameter may leave its bound again. scipy's dogbox and trf end
 times the cost, since they hold parameters at a bound or move away from it slowly.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -22,8 +23,11 @@ def least_step(square: Array, slope: Array, low: Array, high: Array) -> tuple[Ar
     """
     Return the step within bounds that minimises a quadratic cost, and by how much it lowers it.
 
-    The cost is 0.5 step' square step + slope' step.
+    The cost is 0.5 step' square step + slope' step. If that is not finite, as of an impossible
+    plant, there is no step, and it lowers nothing.
     """
+    if not (np.isfinite(square).all() and np.isfinite(slope).all()):
+        return np.zeros_like(slope), -math.inf
     size = np.sqrt(np.diag(square)) + 1e-30
     scaled = square / np.outer(size, size) + 1e-9 * np.eye(size.size)
     bounds = low * size - 1e-12, high * size + 1e-12

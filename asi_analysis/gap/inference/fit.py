@@ -490,10 +490,9 @@ class LinearScreen:
     def _linear(self, changes: Array, least: Array, most: Array, low: Array, high: Array
                 ) -> float:
         """Return the expected cost with an effect that changes the residual so."""
-        if not np.isfinite(changes).all():   # an impossible plant, as a load without mass
-            return np.inf
-        cross = self._jacobian.T @ changes
-        square = np.block([[self._square, cross], [cross.T, changes.T @ changes]])
-        _, gain = least_step(square, np.append(self._right, changes.T @ self._residual),
-                             np.append(low, least), np.append(high, most))
+        with np.errstate(over='ignore', invalid='ignore'):   # a plant may be impossible
+            cross = self._jacobian.T @ changes
+            square = np.block([[self._square, cross], [cross.T, changes.T @ changes]])
+            slope = np.append(self._right, changes.T @ self._residual)
+        _, gain = least_step(square, slope, np.append(low, least), np.append(high, most))
         return 0.5 * float(self._residual @ self._residual) - gain

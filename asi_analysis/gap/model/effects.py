@@ -147,8 +147,10 @@ def _friction(*more: Free, joined: bool = False) -> tuple[Variant, ...]:
                  for inside, channels in ((0.0, LOAD_SIDE), (1.0, FORCE_SIDE)))
 
 
+# Lower and upper bound and initial guess of a friction's asymmetry, of either sign.
+ASYMMETRIES = (0.15, 1.0, 0.4), (-1.0, -0.15, -0.4)
 _ASYMMETRY = tuple(Free('friction_asymmetry', low, high, (start,))
-                   for low, high, start in ((0.15, 1.0, 0.4), (-1.0, -0.15, -0.4)))
+                   for low, high, start in ASYMMETRIES)
 _OF_VISCOUS = Free('viscous_asymmetry', -0.5, 0.5, (0.02, -0.02))
 _ASYMMETRIC = (*(form for each in _ASYMMETRY for form in _friction(each)),
                # Behind the force sensor also of the viscous friction.

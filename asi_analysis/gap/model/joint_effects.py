@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from asi_analysis.gap.model.effects import (
+    ASYMMETRIES,
     DRIVE_GAIN,
     EFFECTS,
     POSITION_GAIN,
@@ -43,9 +44,9 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     if not force_measured:
         covered |= {'sensor_gain_error', 'sensor_lag', 'sensor_lag_split', 'sensor_drift',
                     'sensor_drift_curve', 'sensor_drift_bend'}
-    low, high = (share * travel for share in BRISTLE)
+    least, most = (share * travel for share in BRISTLE)
     longest = max(LONGEST, LONGEST_SAMPLES * period)
-    wider = {'friction_bristle': Free('', low, high, (100.0 * low, 0.1 * high, 0.5 * high)),
+    wider = {'friction_bristle': Free('', least, most, (100.0 * least, 0.1 * most, 0.5 * most)),
              'friction_level': Free('', 0.0, 1.5, (0.02, 0.1, 0.3, 0.9), 'force'),
              'sensor_lag': Free('', 0.0, longest, LOOP_TIMES)}
 
@@ -64,13 +65,19 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     effects = {name: forms for name, variants in EFFECTS.items()
                if (forms := tuple(form for each in variants if applies(each) for form in (
                    rattling if ('backlash_floating', 1.0) in each.fixed else (scaled(each),))))}
+    # An asymmetry of the sliding friction alone is a constant force; beside another one, that of
+    # the viscous friction tells it.
+    sliding = effects['coulomb_friction'][0]
+    effects['friction_asymmetry'] += tuple(sliding._replace(free=(
+        *sliding.free, Free('viscous_asymmetry', low, high, (start,))))
+        for low, high, start in ASYMMETRIES)
     soft, = effects['load_compliance']
     effects['load_compliance'] = soft, soft._replace(free=tuple(
         STIFF.get(free.field, free) for free in soft.free))
     effects |= POSITION_GAIN if mass_given else {}
     if not force_measured:
         # A delay at most as long as what is mirrored at the ends of a recording.
-        late = {field: Free(field, period, most, starts, '', 's') for field, most, starts in (
+        late = {field: Free(field, period, last, starts, '', 's') for field, last, starts in (
             ('drive_delay', max(0.1, LONGEST_SAMPLES * period), (0.002, 0.006, 0.02)),
             ('drive_lag', longest, LOOP_TIMES))}
         # Two forms, since each parameter makes a form less probable.

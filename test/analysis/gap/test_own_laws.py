@@ -184,6 +184,13 @@ def test_step_of_a_parameter_without_influence_stays_within_its_bounds():
     assert (np.abs(step) <= 0.3).all()
 
 
+def test_there_is_no_step_of_what_is_not_finite():
+    """As of a resonance that grows beyond all numbers at an initial guess."""
+    step, gain = least_step(np.diag([1.0, np.inf]), np.array([-0.5, 0.0]), np.full(2, -0.3),
+                            np.full(2, 0.3))
+    assert not step.any() and gain == -np.inf
+
+
 def test_step_within_bounds_is_where_no_bound_holds_it_back():
     """Of parameters that act nearly alike; at a bound the cost rises inwards, else it is flat."""
     rng = np.random.default_rng(5)
