@@ -34,6 +34,7 @@ from asi_analysis.gap.findings.no_effect import (
 )
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.one_sensor import with_one_sensor
+from asi_analysis.gap.findings.pattern import with_pattern
 from asi_analysis.gap.findings.shrink import shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
@@ -371,6 +372,8 @@ def _as_changes(case: _Case, groups: _Groups, weighed: Sequence[Weighed]
         found = [doubted(changed_only(each, was), was, case.tolerance)
                  for each in weighed for was in [groups.machine[each.group.channels]]]
         return [each for each, _ in found], [note for _, more in found for note in more]
+    if case.plant == 'joint':
+        return [with_pattern(each) for each in weighed], []
     if case.plant == 'actuator':
         return [with_tolerated_gain(with_gap_centre(each), groups.own.get(GAIN, case.tolerance))
                 for each in weighed], []

@@ -55,7 +55,9 @@ def balanced_split(driving: Array, period: float) -> tuple[Mask, Mask]:
 
     def both_ways(parts: Iterable[int]) -> list[tuple[Mask, Mask]]:
         splits = [split(driving.size, period, number) for number in parts]
-        return [each for fit, held in splits for each in ((fit, held), (held, fit))]
+        # How a recording began is not known before the first fitted sample.
+        return [each for fit, held in splits
+                for each in ((fit, held), (held, fit & (np.cumsum(held) > 0)))]
 
     best = min(both_ways((PARTS, 2 * PARTS, 4 * PARTS)), key=lambda each: imbalance(*each))
     follows = _responses(driving, period)   # the best is the first that is balanced

@@ -34,6 +34,13 @@ def test_the_only_steps_of_an_input_are_fitted_and_used_for_model_selection():
     assert reported(held).any()
 
 
+def test_nothing_is_judged_before_the_first_fitted_sample():
+    """How a recording began is not known there: a load that swings then was extrapolated."""
+    time = 0.004 * np.arange(3000)
+    fit, held = balanced_split((1.0 + time) * np.sin(time ** 2), 0.004)
+    assert held[:np.argmax(fit)].sum() == 0 < np.argmax(fit)
+
+
 @pytest.mark.slow
 def test_the_response_of_a_servo_is_identified_from_its_only_pulse():
     driving, output = pulse(), np.zeros(857)

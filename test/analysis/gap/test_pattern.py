@@ -1,0 +1,69 @@
+"""What a model leaves, if it is a function of what was recorded: something is missing in it."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from asi_analysis.bags.run import Run
+from asi_analysis.gap.diagnose import Diagnosis, diagnose
+from asi_analysis.gap.findings.pattern import patterned
+
+PERIOD_S = 0.004
+Law = Callable[[float, float], float]
+MASS, NOISE_M = 0.5, 1e-4
+
+
+def joint(more: Law, origin: float = 0.0, unit: float = 1.0) -> Run:
+    """Return the recording of a mass with damping and a further force; more: of place, speed."""
+    time, rng = PERIOD_S * np.arange(4000), np.random.default_rng(5)
+    force = 3.0 * sum(np.sin(2.0 * np.pi * f * time + 3.0 * f) for f in (0.4, 0.9, 1.7, 3.1))
+    q, v, place = 0.0, 0.0, []
+    for k in range(time.size):
+        place.append(q)
+        for _ in range(10):
+            v += 0.1 * PERIOD_S / MASS * (force[k] - 2.0 * v - 20.0 * q - more(q, v))
+            q += 0.1 * PERIOD_S * v
+    position = np.array(place) + rng.normal(0.0, NOISE_M, time.size) + origin
+    return Run(time, command_n=unit * force, position_m=position, source='joint',
+               information={'signals': {'command': 'N', 'position': 'm'}})
+
+
+def asked(run: Run) -> Diagnosis:
+    return diagnose([run], {}, 'joint')
+
+
+def shares(diagnosis: Diagnosis) -> dict[tuple[str, ...], float]:
+    """Return the pattern that each fitted hypothesis leaves."""
+    weighed = diagnosis.groups[-1]
+    return {names: patterned(weighed.group, 'load', found.fitted.record)
+            for names, found in weighed.candidates.items()}
+
+
+def hardening(q: float, v: float) -> float:
+    return 120.0 * q ** 3
+
+
+def drag(q: float, v: float) -> float:
+    return 1.5 * v ** 3
+
+
+def friction(q: float, v: float) -> float:
+    return 1.2 * float(np.tanh(v / 0.003))
+
+
+@pytest.mark.parametrize(('more', 'origin', 'unit'), [
+    (drag, 0.0, 1.0), pytest.param(drag, -7.0, 1000.0, marks=pytest.mark.slow),
+    pytest.param(hardening, 0.0, 1.0, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings('ignore')   # a constant force is subtracted, there is a spring
+def test_a_law_that_has_no_name_is_unknown(more: Law, origin: float, unit: float) -> None:
+    found = asked(joint(more, origin, unit))
+    assert found.verdict == ('unknown',) and found.joined[found.verdict] > 0.9
+    assert shares(found)[()] > 0.5
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_the_right_friction_leaves_no_pattern() -> None:
+    found = asked(joint(friction))
+    assert 'unknown' not in found.verdict and len(found.verdict) == 1
+    assert shares(found)[()] > 0.5 and shares(found)[found.verdict] < 0.3
