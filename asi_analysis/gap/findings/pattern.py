@@ -13,10 +13,9 @@ import numpy as np
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
-from asi_analysis.gap.inference.hypotheses import Weighed
+from asi_analysis.gap.inference.hypotheses import NOISE_UNCERTAINTY, Weighed
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
-    NOISE_SHARE,
     Names,
     as_probability,
     has_one_law,
@@ -41,6 +40,8 @@ STANDS: Final = 0.05     # of the rms speed: below, the direction of a motion is
 OF_LOAD: Final = (('position', ''), ('velocity', ''), ('force', ''), ('position', 'way'),
                   ('position', 'velocity'), ('position', 'acceleration'), ('time', 'velocity'),
                   ('time', 'force'))
+# Beside each of them, the linear terms of the nominal model.
+LINEAR: Final = ('acceleration', 'velocity', 'position', 'input')
 OF_OUTPUT: Final = (('input', ''), ('output', ''), ('velocity', ''), ('output', 'way'),
                     ('output', 'velocity'), ('time', 'input'), ('time', 'velocity'))
 
@@ -76,7 +77,7 @@ def _odds(weighed: Weighed, names: Names, channel: str) -> float:
     formulation = max((CONSTANTS.exact if has_one_law(name) else CONSTANTS.formulation
                        for name in names), default=0.0)
     noise = group.noise[channel] ** 2
-    expected = (formulation ** 2 * max(explained, 0.0) + NOISE_SHARE * noise
+    expected = (formulation ** 2 * max(explained, 0.0) + NOISE_UNCERTAINTY * noise
                 + OF_ERROR * (group.error_floor[channel] - noise))
     return SLOPE * math.log(max(found, 1e-300) / (EVEN * max(expected, 1e-300)))
 
@@ -119,8 +120,10 @@ def _functions(group: Group, channel: str, left: Sequence[Array]) -> Iterator[li
         knots = np.linspace(*ends, SLOW_KNOTS) if name == 'time' else np.unique(
             [*np.linspace(*ends, KNOTS), *np.quantile(values, np.linspace(0.0, 1.0, KNOTS))])
         yield [np.column_stack([
-            compared(recording, channel, np.interp(each[name], knots, hat) * each.get(times, 1.0))
-            for hat in np.eye(knots.size)])
+            compared(recording, channel, column) for column in (
+                *(np.interp(each[name], knots, hat) * each.get(times, 1.0)
+                  for hat in np.eye(knots.size)),
+                *(each[other] for other in LINEAR if other in each))])
             for recording, each in zip(group.recordings, of_recordings, strict=True)]
 
 
