@@ -31,7 +31,6 @@ from asi_analysis.gap.prepare import Recording
 OF_ERROR: Final = 0.25
 EVEN: Final = 2.5
 SLOPE: Final = 3.0
-
 KNOTS: Final = 10        # of a function: so many at equal distances, and so many quantiles
 SLOW_KNOTS: Final = 4    # of a function of time
 RIDGE: Final = 1e-3      # weight of its values, in mean squares of its columns
@@ -40,10 +39,10 @@ STANDS: Final = 0.05     # of the rms speed: below, the direction of a motion is
 OF_LOAD: Final = (('position', ''), ('velocity', ''), ('force', ''), ('position', 'way'),
                   ('position', 'velocity'), ('position', 'acceleration'), ('time', 'velocity'),
                   ('time', 'force'))
-# Beside each of them, the linear terms of the nominal model.
-LINEAR: Final = ('acceleration', 'velocity', 'position', 'input')
 OF_OUTPUT: Final = (('input', ''), ('output', ''), ('velocity', ''), ('output', 'way'),
                     ('output', 'velocity'), ('time', 'input'), ('time', 'velocity'))
+# Beside each of them, the linear terms of the nominal model.
+LINEAR: Final = ('acceleration', 'velocity', 'position', 'input')
 
 
 def with_pattern(weighed: Weighed) -> Weighed:
