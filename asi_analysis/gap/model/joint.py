@@ -20,6 +20,7 @@ from asi_actuator.joint_parameters import JOINT_PARAMETERS
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.errors import InputError
+from asi_analysis.gap.model.coupling import guessed_coupling
 from asi_analysis.gap.model.effects import (
     EFFECTS,
     GRAVITY,
@@ -404,7 +405,7 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     travel = max(float(np.ptp(r.motion.position[r.motion.inner]))
                  for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
-                            rattling_in(rattles))
+                            rattling_in(rattles), guessed_coupling(recordings))
     if weighs and healthy:
         effects |= GRAVITY
         size = tolerance * math.hypot(*(float(given.get(f'gravity.{part}', 0.0))

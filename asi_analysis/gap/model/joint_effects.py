@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from asi_analysis.gap.model.coupling import Coupling
 from asi_analysis.gap.model.effects import (
     ASYMMETRIES,
     DRIVE_GAIN,
@@ -29,12 +30,13 @@ LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Sequence[Variant]) -> Effects:
+                  rattling: Sequence[Variant], coupling: Coupling | None) -> Effects:
     """
     Return the candidate effects between the force and the motion of a joint.
 
     period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
-    that a gain error of the force can be identified; force_measured: not only commanded. Effects
+    that a gain error of the force can be identified; force_measured: not only commanded; coupling:
+    where the fit of a compliance begins, too. Effects
     that equal free parameters of the nominal model are left out: a constant disturbance equals an
     offset. So does the constant part of asymmetric friction, which is fitted without an offset.
     """
@@ -72,8 +74,9 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         *sliding.free, Free('viscous_asymmetry', low, high, (start,))))
         for low, high, start in ASYMMETRIES)
     soft, = effects['load_compliance']
-    effects['load_compliance'] = soft, soft._replace(free=tuple(
-        STIFF.get(free.field, free) for free in soft.free))
+    effects['load_compliance'] = (
+        soft, soft._replace(free=tuple(STIFF.get(free.field, free) for free in soft.free)),
+        *_coupled(soft, coupling, mass_given))
     effects |= POSITION_GAIN if mass_given else {}
     if not force_measured:
         # A delay at most as long as what is mirrored at the ends of a recording.
@@ -89,3 +92,21 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
         effects |= {name: tuple(Variant(each, ('load',)) for each in own)
                     for name, own in late_forms.items()}
     return effects
+
+
+def _coupled(soft: Variant, coupling: Coupling | None, mass_given: bool) -> tuple[Variant, ...]:
+    """Return the compliance with the parameters of a guess, from which mass and damping begin."""
+    if coupling is None:
+        return ()
+    began = {'compliance': coupling.compliance, 'load_mass': coupling.mass,
+             'load_damping': coupling.damping, 'compliance_damping': coupling.damping_time,
+             'piston_share': coupling.share}
+    most = {'piston_share': 0.99, 'compliance_damping': max(0.02, 3.0 * coupling.damping_time),
+            'load_damping': 10.0 * coupling.damping + coupling.mass}
+    free = [each._replace(low=0.0, high=most.get(each.field, 10.0 * began[each.field]), scale='',
+                          starts=(began[each.field],)) if each.field in began else each
+            for each in soft.free]
+    if not mass_given:
+        free += [Free(name, 0.0, most.get(name, 10.0 * began[name]), (began[name],), anew=True)
+                 for name in ('load_mass', 'load_damping')]
+    return (soft._replace(free=tuple(free)),)
