@@ -364,6 +364,44 @@ def test_pairs_are_sought_unless_one_effect_is_enough_with_other_laws(
     assert len(pairs) == sought
 
 
+@pytest.mark.parametrize(('beyond', 'alone', 'sought'), [
+    (500.0, False, True), (800.0, False, False), (800.0, True, True)])
+def test_pairs_are_sought_where_they_promise_to_explain_every_channel(
+        monkeypatch, beyond, alone, sought):
+    """Else none of them would count, and their fits are in vain."""
+    first = SimpleNamespace(cost_beyond=beyond, unexplained=True, may_lack_an_effect=True,
+                            best=SimpleNamespace(cost=1e3))
+    found, pairs = {(): first, ('sensor_lag',): first}, []
+    monkeypatch.setattr(search, 'screen', lambda *_: SimpleNamespace(most=350.0))
+    monkeypatch.setattr(search, 'with_noise_left', lambda found: found)
+    monkeypatch.setattr(search, '_pairs', lambda *_: pairs.append(found) or {})
+    search.with_pairs(found, lambda: None, alone)
+    assert len(pairs) == sought
+
+
+def test_what_one_channel_leaves_is_not_made_up_for_by_another():
+    nominal = simulator.simulator_record({'load.type': 'spring'})
+    recordings = prepared([recorded({'load.type': 'spring'}, noise=0.0, duration_s=1.5)])
+    group = with_simulated_valve(simulator_group(nominal, recordings, CHANNELS), nominal)
+    problem = Posterior(replace(group, valve_gain=None), group.nuisance)
+    shape = problem.split(problem.residual(problem.nominal))[0].shape
+
+    def at(rows):
+        return Found((), (), problem, Best(
+            problem.nominal, 0.5 * float(np.sum(rows ** 2)), rows.ravel()))
+
+    def leaving(*shares):
+        """Return a fit that leaves these shares of what is explained in each channel."""
+        ones = at(np.ones(shape))
+        return at(np.ones(shape) * np.sqrt(
+            shares * ones._any_formulation / ones.relative_residual)[:, None])
+
+    within, beyond = leaving(0.5, 0.9), leaving(0.0, 1.1)
+    assert not within.far and within.cost_beyond == 0.0
+    assert beyond.far and beyond.best.cost < beyond.largest_cost
+    assert beyond.cost_beyond == pytest.approx(0.1 * leaving(0.0, 1.0).best.cost)
+
+
 def test_damping_as_another_book_has_it_and_a_gain_of_the_sensor_are_usual():
     """Both within what is not known of a machine: its parameters stay as probable as they are."""
     nominal = {'load.type': 'spring'}

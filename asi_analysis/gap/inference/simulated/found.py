@@ -108,9 +108,26 @@ class Found(NamedTuple):
     @property
     def largest_cost(self) -> float:
         """Return the highest cost of a residual that noise and any model error explain."""
+        return float(self._largest_costs.sum())
+
+    @property
+    def cost_beyond(self) -> float:
+        """
+        Return the cost above that which noise and any model error explain.
+
+        What a channel leaves counts, however little others do.
+        """
         rows, _ = self.problem.split(self.best.residual)
-        return 0.5 * self.explained * float(
-            power(self.problem.group) @ self._any_formulation) * rows.shape[1]
+        own = 0.5 * np.sum(rows ** 2, axis=1)
+        return max(self.best.cost - self.largest_cost,
+                   float(np.maximum(own - self._largest_costs, 0.0).sum()))
+
+    @property
+    def _largest_costs(self) -> Array:
+        """Return the highest cost of each channel that noise and any model error explain."""
+        rows, _ = self.problem.split(self.best.residual)
+        return (0.5 * self.explained * rows.shape[1]
+                * power(self.problem.group) * self._any_formulation)
 
     @property
     def _any_formulation(self) -> Array:

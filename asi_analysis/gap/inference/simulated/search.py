@@ -250,8 +250,7 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
     screened = screen(first, not first.unexplained, tick)
     promised = screened.most
     # Without another model, an effect may be named although a residual is left.
-    if promised < ODDS_AGAINST or not (
-            alone or first.best.cost - GAIN_MARGIN * promised < first.largest_cost):
+    if promised < ODDS_AGAINST or not (alone or first.cost_beyond < GAIN_MARGIN * promised):
         return found
     return with_noise_left(best_of(found, _pairs(
         found[()], first, screened, tick, goal_of(alone))))
