@@ -22,7 +22,7 @@ LEAST_DAMPING: Final = 0.01   # damping ratio of the weight
 
 
 class Coupling(NamedTuple):
-    """The whole mass (kg), its friction (N s/m), and the spring (m/N); of a joint with rad, N m."""
+    """The whole mass (kg), its friction (N s/m) and the spring (m/N); if it turns, rad, N m."""
 
     mass: float
     damping: float

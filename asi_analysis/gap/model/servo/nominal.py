@@ -104,5 +104,7 @@ def _explained(recordings: Sequence[Recording]) -> Array:
         output = (r.output - r.output[r.fit].mean()) * used
         start = command.size - 1
         shared += correlate(output, command)[start:start + most]
-        power += correlate(used, command ** 2)[start:start + most]
+        # About the mean of the same samples: else another delay may seem to explain more.
+        power += (correlate(used, command ** 2) - correlate(used, command) ** 2 / used.sum())[
+            start:start + most]
     return np.maximum(shared, 0.0) ** 2 / np.maximum(power, 1e-300)
