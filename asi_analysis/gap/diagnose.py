@@ -34,14 +34,13 @@ from asi_analysis.gap.findings.no_effect import (
 )
 from asi_analysis.gap.findings.one_rate import at_one_rate
 from asi_analysis.gap.findings.one_sensor import with_one_sensor
-from asi_analysis.gap.findings.pattern import with_pattern
+from asi_analysis.gap.findings.pattern import leaves_more_than_noise, with_pattern
 from asi_analysis.gap.findings.shrink import shrink_of
 from asi_analysis.gap.inference import plausibility
 from asi_analysis.gap.inference.coloured_noise import NOT_WHITE, not_white
 from asi_analysis.gap.inference.hypotheses import (
     Weighed,
     join,
-    leaves_more_than_noise,
     weigh_groups,
 )
 from asi_analysis.gap.inference.other_extent import with_hidden_load, with_lower_band

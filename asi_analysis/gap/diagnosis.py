@@ -55,6 +55,8 @@ class Diagnosis:
         names = tuple(name for name in part if name != UNKNOWN)
         if names or not part:
             return weighed.candidates[names]
+        if weighed.closest is not None:
+            return weighed.candidates[weighed.closest]
         known = max(weighed.candidates, key=lambda n: weighed.probability.get(n, 0.0))
         # With a gap that is unknown, an improbable effect is no better than none.
         return weighed.candidates[known if weighed.probability[known] > LEAST_PROBABILITY else ()]

@@ -88,16 +88,20 @@ SHAPES = {'valve_deadband', 'valve_saturation', 'gain_asymmetry', 'curvature'}
 # driven by a force, it is at least FLOOR_MARGIN times what that fit leaves (mean squares).
 QUIET_RATIO, FLOOR_MARGIN = 9.0, 2.0
 SMALLEST_RESIDUAL = 1e-12   # lower limit of a mean square residual, in error floors
-NEGLIGIBLE = 0.1   # mean square residual, in error floors, in which no effect hides that matters
 SUFFICIENT = 0.8   # mean square residual, in error floors, below which no effect is added
 
 
 class Weighed(NamedTuple):
-    """A group with its fitted hypotheses and the probability of each, by effect names."""
+    """
+    A group with its fitted hypotheses and the probability of each, by effect names.
+
+    closest: of what is unknown, the effects that come closest to it as a model.
+    """
 
     group: Group
     candidates: dict[Names, Candidate]
     probability: dict[Names, float]
+    closest: Names | None = None
 
 
 def _needs_more(group: Group, fitted: Fitted, channel: str) -> bool:
@@ -314,14 +318,6 @@ def evidence_of(group: Group, found: dict[Names, Candidate]) -> Evidence:
          for names, candidate in found.items()},
         {names: _log_odds_against_values(candidate, group) for names, candidate in found.items()},
         group.floor_measured)
-
-
-def leaves_more_than_noise(weighed: Weighed) -> bool:
-    """Return whether the nominal model of a joint leaves more than can be noise, or be small."""
-    group, left = weighed.group, weighed.candidates[()].fitted.held_out
-    return not group.floor_measured and any(
-        left[channel] > max(QUIET_RATIO * group.noise[channel] ** 2,
-                            NEGLIGIBLE * group.error_floor[channel]) for channel in group.channels)
 
 
 def _log_odds_against_values(candidate: Candidate, group: Group) -> float:

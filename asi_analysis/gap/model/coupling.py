@@ -19,6 +19,7 @@ from asi_analysis.gap.prepare import Recording
 
 ROUNDS: Final = 6
 LEAST_DAMPING: Final = 0.01   # damping ratio of the weight
+MOST_SHARE: Final = 0.8       # of the mass before the spring: else it is one mass
 
 
 class Coupling(NamedTuple):
@@ -48,7 +49,7 @@ def guessed_coupling(recordings: Sequence[Recording]) -> Coupling | None:
         weights = [1.0 + slow * (s := 1j * r.moved.omega) + square * s ** 2 for r in recordings]
     slow, square, damping, second, _, fourth, _ = map(float, found)
     mass, before = second - damping * slow, fourth / square
-    if not 0.0 < before < mass:
+    if not 0.0 < before < MOST_SHARE * mass:
         return None
     return Coupling(mass, max(damping, 0.0), square / (mass - before), max(slow, 0.0),
                     before / mass)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from asi_analysis.gap.model.coupling import Coupling
+from asi_analysis.gap.model.coupling import MOST_SHARE, Coupling
 from asi_analysis.gap.model.effects import (
     ASYMMETRIES,
     DRIVE_GAIN,
@@ -30,7 +30,7 @@ LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Sequence[Variant], coupling: Coupling | None) -> Effects:
+                  rattling: Sequence[Variant], coupling: Coupling | None = None) -> Effects:
     """
     Return the candidate effects between the force and the motion of a joint.
 
@@ -101,7 +101,8 @@ def _coupled(soft: Variant, coupling: Coupling | None, mass_given: bool) -> tupl
     began = {'compliance': coupling.compliance, 'load_mass': coupling.mass,
              'load_damping': coupling.damping, 'compliance_damping': coupling.damping_time,
              'piston_share': coupling.share}
-    most = {'piston_share': 0.99, 'compliance_damping': max(0.02, 3.0 * coupling.damping_time),
+    most = {'piston_share': MOST_SHARE,
+            'compliance_damping': max(0.02, 3.0 * coupling.damping_time),
             'load_damping': 10.0 * coupling.damping + coupling.mass}
     free = [each._replace(low=0.0, high=most.get(each.field, 10.0 * began[each.field]), scale='',
                           starts=(began[each.field],)) if each.field in began else each

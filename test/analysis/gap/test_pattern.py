@@ -1,13 +1,15 @@
 """What a model leaves, if it is a function of what was recorded: something is missing in it."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.diagnose import Diagnosis, diagnose
-from asi_analysis.gap.findings.pattern import patterned
+from asi_analysis.gap.findings.pattern import pattern
+from asi_analysis.gap.model.joint import joint_groups
 
 PERIOD_S = 0.004
 Law = Callable[[float, float], float]
@@ -36,7 +38,7 @@ def asked(run: Run) -> Diagnosis:
 def shares(diagnosis: Diagnosis) -> dict[tuple[str, ...], float]:
     """Return the pattern that each fitted hypothesis leaves."""
     weighed = diagnosis.groups[-1]
-    return {names: patterned(weighed.group, 'load', found.fitted.record)
+    return {names: pattern(weighed.group, 'load', found.fitted.record).share
             for names, found in weighed.candidates.items()}
 
 
@@ -67,3 +69,20 @@ def test_the_right_friction_leaves_no_pattern() -> None:
     found = asked(joint(friction))
     assert 'unknown' not in found.verdict and len(found.verdict) == 1
     assert shares(found)[()] > 0.5 and shares(found)[found.verdict] < 0.3
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_what_has_no_name_may_still_come_closer_as_a_model() -> None:
+    """Drag by the square of the speed, the friction that comes closest: no improved model was."""
+    found = asked(joint(lambda q, v: 2.0 * v * abs(v)))
+    assert 'unknown' in found.verdict and found.best(found.groups[-1]).names
+    assert found.shrinks[0].shrink > 0.3
+
+
+def test_only_one_of_two_recordings_may_hold_the_position() -> None:
+    first = joint(lambda q, v: 0.0)
+    second = replace(first, position_m=None, information={'signals': {
+        'command': 'N', 'velocity': 'm/s'}}, velocity_m_s=np.gradient(first.position_m, PERIOD_S))
+    for runs in ([first, second], [second, first]):
+        groups, _ = joint_groups(runs, {}, 0.2, [False, False], 'force')
+        assert 0.0 <= pattern(groups[-1], 'load', groups[-1].nominal).share <= 1.0

@@ -230,6 +230,6 @@ def test_no_gap_is_not_sure_where_far_more_than_noise_is_left():
     # A gain that fades by a tenth leaves 3 % of the force, as a healthy drive may: 1.00.
     time = PERIOD_S * np.arange(3000)
     command = 4.0 * sines(time)
-    found = of_joint(driven(time, command * (1.0 - 0.07 * np.sin(0.3 * time)), command))
+    found = of_joint(driven(time, command * (1.0 - 0.07 * np.sin(1.3 * time)), command))
     assert found.joined[()] < 0.6
     assert 'more than noise' in ' '.join(found.notes)
