@@ -103,8 +103,9 @@ $(VENV)/compiled: $(VENV)/installed
 	@echo 'Compiling the model' && $(BIN)/python -m asi_analysis.loop.closed_loop
 	@touch $@
 
-# The diagnosis, too: else each worker of the tests would.
+# The diagnosis, too, once: each worker of the tests would.
 $(VENV)/diagnosed: $(VENV)/compiled
+	@echo 'Compiling the diagnosis: about a minute'
 	@for world in joint textbook; do $(BIN)/asi gap check --world $$world --cases 1 --jobs 1 \
 	  --out $(VENV)/world_$$world > /dev/null || exit 1; done
 	@touch $@
