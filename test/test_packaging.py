@@ -87,7 +87,7 @@ def test_make_takes_the_python_that_is_named_or_stops(tmp_path: Path) -> None:
         shutil.copy(ROOT / name, tmp_path)
     (tmp_path / '.venv/bin').mkdir(parents=True)
     (tmp_path / '.venv/bin/python').symlink_to(sys.executable)
-    for stamp in ('installed', 'compiled', 'tested'):
+    for stamp in ('installed', 'compiled', 'tested', 'diagnosed'):
         (tmp_path / '.venv' / stamp).touch()
     other = tmp_path / 'python'
     other.write_text('#!/bin/sh\necho "(3, 99)"\n')

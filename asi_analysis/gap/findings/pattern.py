@@ -2,7 +2,7 @@
 What a hypothesis leaves, if it is a function of recorded quantities: the model lacks something.
 
 Residual analysis (Ljung, System Identification, 2nd ed., 16.6): no function of what was recorded
-predicts what the right model leaves. It is fitted on one part of the data, judged on the others.
+predicts what the right model leaves. It is fitted on one part of the data, judged on another.
 """
 
 import math
@@ -13,6 +13,7 @@ import numpy as np
 
 from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.inference.beyond_tolerance import LEAST_PROBABILITY
+from asi_analysis.gap.inference.fit import comparable
 from asi_analysis.gap.inference.hypotheses import NOISE_UNCERTAINTY, QUIET_RATIO, Weighed
 from asi_analysis.gap.inference.probability import (
     CONSTANTS,
@@ -89,7 +90,7 @@ def _log_ratio(one: float, other: float) -> float:
 
 
 class Pattern(NamedTuple):
-    """Mean squares on the parts that were not fitted: what a model leaves, and the rest of it."""
+    """Mean squares on the samples for model selection: what a model leaves, the rest of it."""
 
     left: float
     rest: float    # that the best function of recorded quantities does not predict
@@ -121,7 +122,7 @@ def pattern(group: Group, channel: str, p: np.void) -> Pattern:
     """Return how much of what a model leaves a function of recorded quantities predicts."""
     left = [unexplained(recording, channel, p) for recording in group.recordings]
     fit = [recording.fit for recording in group.recordings]
-    others = [recording.held_out | recording.report for recording in group.recordings]
+    others = [comparable(recording, group.recordings) for recording in group.recordings]
     known, target = _rows(left, fit), _rows(left, others)
     whole = rest = float(np.mean(target ** 2))
     for columns in _functions(group, channel, left):

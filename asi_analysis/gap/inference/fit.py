@@ -116,7 +116,7 @@ def _share(parameter: FreeParameter, value: float) -> float:
     return min(max(parameter.share(value), 0.001), 0.999)
 
 
-def _comparable(recording: Recording, fit_on: Sequence[Recording]) -> npt.NDArray[np.bool_]:
+def comparable(recording: Recording, fit_on: Sequence[Recording]) -> npt.NDArray[np.bool_]:
     """Return the held-out samples whose inputs are within the range of the fitted parts."""
     inside = recording.held_out.copy()
     for name in ('command', 'valve_position', 'velocity'):
@@ -137,7 +137,7 @@ def held_out_error(group: Group, p: np.void) -> Values:
         total, count = 0.0, 0
         for recording in group.recordings:
             # A characteristic has few parameters and may deviate anywhere: hence all samples.
-            mask = recording.known if channel == 'static' else _comparable(
+            mask = recording.known if channel == 'static' else comparable(
                 recording, group.recordings)
             error = unexplained(recording, channel, p)[mask]
             total += float(error @ error)
