@@ -86,6 +86,7 @@ def _with_unknown(chance: Mapping[Names, float], names: Names) -> float:
 
 
 def _log_ratio(one: float, other: float) -> float:
+    """Return the log odds that belong to the ratio of two mean squares: 0 if they are equal."""
     return SLOPE * math.log(max(one, 1e-300) / max(other, 1e-300))
 
 

@@ -36,9 +36,9 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
 
     period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
     that a gain error of the force can be identified; force_measured: not only commanded; coupling:
-    where the fit of a compliance begins, too. Effects
-    that equal free parameters of the nominal model are left out: a constant disturbance equals an
-    offset. So does the constant part of asymmetric friction, which is fitted without an offset.
+    where the fit of a compliance begins, too. Effects that equal free parameters of the nominal
+    model are left out: a constant disturbance equals an offset. So does the constant part of
+    asymmetric friction, which is fitted without an offset.
     """
     covered = {'disturbance', 'sensor_offset'}
     if not mass_given:
