@@ -89,6 +89,7 @@ EFFECT_FIELDS = (
     'friction_bristle',         # m, deflection of the seals at breakaway
     'friction_rounding',        # 0: one slip element; 0.5: spread elements; 1: Dahl's bristle
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
+    'friction_creep',           # m/s, about which friction rises with the velocity; 0: with strain
     'friction_inside',          # 1: between valve and force sensor, 0: beyond the sensor
     'viscous',                  # N s/m, at velocity_scale
     'viscous_exponent',         # of the velocity
@@ -324,18 +325,34 @@ def slide(elements, reach, moved, velocity, e):
         relative = abs(velocity) / e.friction_stribeck
         if relative < 20.0:
             rise += e.friction_breakaway * math.exp(-relative ** e.friction_falling)
+    if e.friction_creep > 0.0:
+        share = math.tanh(velocity / e.friction_creep)
+        share *= 1.0 + math.copysign(e.friction_asymmetry, share)
+    else:
+        share = deflected(elements, reach, moved, e)
+    return e.friction_level * rise * share
+
+
+@jit
+def deflected(elements, reach, moved, e):
+    """
+    Return friction as a share of its level after a displacement (m); updates the elements.
+
+    They are as stiff one way as the other; an asymmetric friction slides at other deflections.
+    """
+    ahead, back = 1.0 + e.friction_asymmetry, e.friction_asymmetry - 1.0
     share = 0.0
     for i in range(PLAYS):
-        elements[i] = min(max(elements[i] + moved / reach[i], -1.0), 1.0)
+        elements[i] = min(max(elements[i] + moved / reach[i], back), ahead)
         share += elements[i] / PLAYS
     bristled = max(2.0 * e.friction_rounding - 1.0, 0.0)
     if bristled > 0.0:
-        end = math.copysign(1.0, moved)
-        elements[PLAYS] = end + (elements[PLAYS] - end) * math.exp(
-            -abs(moved) / e.friction_bristle)
+        end = ahead if moved > 0.0 else back
+        if moved != 0.0:
+            distance = max(abs(end), 1e-6) * e.friction_bristle
+            elements[PLAYS] = end + (elements[PLAYS] - end) * math.exp(-abs(moved) / distance)
         share += bristled * (elements[PLAYS] - share)
-    uneven = 1.0 + e.friction_asymmetry if share >= 0.0 else 1.0 - e.friction_asymmetry
-    return e.friction_level * uneven * rise * share
+    return share
 
 
 @jit

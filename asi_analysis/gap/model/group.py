@@ -453,7 +453,7 @@ def channels_of(variant: Variant, group: Group) -> set[str]:
 
 OF_SERVO = ('servo_',)
 OF_MECHANICS = ('load_offset', 'load_weight', 'drive_', 'position_gain', 'gravity_', 'swing_',
-                'damping_share', 'contact_time')
+                'damping_share', 'contact_time', 'friction_creep')
 
 
 def _channels_by_field() -> dict[str, set[str]]:

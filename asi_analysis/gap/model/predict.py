@@ -257,8 +257,8 @@ def _balance(recording: Recording, motion: Motion, p: np.void, weight: Array, ta
     nan where it moves. weight, taken: see `_weight`.
     """
     rigid = p['compliance'] == 0.0 and p['backlash'] == 0.0   # else the load goes on moving
-    if (p['friction_level'] == 0.0 or p['friction_inside'] > 0.5 or not rigid
-            or not motion.halts.any()):
+    if (p['friction_level'] == 0.0 or p['friction_creep'] > 0.0 or p['friction_inside'] > 0.5
+            or not rigid or not motion.halts.any()):
         return np.empty(0)
     assert recording.force is not None
     mass, damping, stiffness = blocks.load_constants(p)

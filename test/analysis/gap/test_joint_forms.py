@@ -14,6 +14,7 @@ from asi_analysis.gap.answer.command import diagnose
 from asi_analysis.gap.check.check import examine
 from asi_analysis.gap.diagnose import diagnose as diagnosis_of
 from asi_analysis.gap.model import blocks
+from asi_analysis.gap.model.blocks import parts, seized, slide
 from asi_analysis.gap.model.joint import IDEAL, joint_groups
 from asi_analysis.gap.model.predict import plant_record, unexplained
 from asi_analysis.gap.model.servo.identification import Servo, follow, servo_of, slow_servo
@@ -279,3 +280,21 @@ def test_a_rough_command_is_no_noise():
               position_m=position + rng.normal(0.0, 1e-6, command.size))
     found = diagnosis_of([run], {}, 'joint')
     assert found.verdict == ('coulomb_friction',)
+
+
+@pytest.mark.parametrize('rounding', [0.0, 0.5, 1.0])
+def test_asymmetric_friction_is_as_stiff_one_way_as_the_other(rounding: float):
+    # As that of the simulator: it slides at other forces, hence at other deflections.
+    p = plant_record({})
+    for name, value in (('friction_level', 10.0), ('friction_bristle', 1e-3),
+                        ('friction_rounding', rounding), ('friction_asymmetry', 0.5)):
+        p[name] = value
+    e = parts(p)[1]
+
+    def forces(moved: float) -> list[float]:
+        elements, reach = seized(e)
+        return [slide(elements, reach, moved, 0.0, e) for _ in range(3000)]
+
+    up, down = forces(1e-5), forces(-1e-5)
+    assert up[0] == pytest.approx(-down[0], rel=0.03)
+    assert (up[-1], down[-1]) == (pytest.approx(15.0), pytest.approx(-5.0))

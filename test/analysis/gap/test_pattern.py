@@ -54,6 +54,10 @@ def friction(q: float, v: float) -> float:
     return 1.2 * float(np.tanh(v / 0.003))
 
 
+def lubricated(q: float, v: float) -> float:
+    return 1.2 * float(np.tanh(v / 0.1))
+
+
 @pytest.mark.parametrize(('more', 'origin', 'unit'), [
     (drag, 0.0, 1.0), pytest.param(drag, -7.0, 1000.0, marks=pytest.mark.slow),
     pytest.param(hardening, 0.0, 1.0, marks=pytest.mark.slow)])
@@ -64,11 +68,20 @@ def test_a_law_that_has_no_name_is_unknown(more: Law, origin: float, unit: float
     assert shares(found)[()] > 0.5
 
 
+@pytest.mark.parametrize('law', [pytest.param(friction, marks=pytest.mark.slow), lubricated])
 @pytest.mark.filterwarnings('ignore')
-def test_the_right_friction_leaves_no_pattern() -> None:
-    found = asked(joint(friction))
+def test_the_right_friction_leaves_no_pattern(law: Law) -> None:
+    found = asked(joint(law))
     assert 'unknown' not in found.verdict and len(found.verdict) == 1
     assert shares(found)[()] > 0.5 and shares(found)[found.verdict] < 0.3
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_friction_that_rises_with_the_velocity_is_coulomb_friction() -> None:
+    found = asked(joint(lubricated))
+    assert found.verdict == ('coulomb_friction',) and found.joined[found.verdict] > 0.85
+    assert found.best(found.groups[-1]).fitted.values['friction_creep'] == pytest.approx(0.1, 0.1)
+    assert found.best(found.groups[-1]).fitted.values['friction_level'] == pytest.approx(1.2, 0.02)
 
 
 @pytest.mark.filterwarnings('ignore')
