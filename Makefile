@@ -3,6 +3,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Many images set this; then every process would compile all that it imports, 1 to 3 s.
+unexport PYTHONDONTWRITEBYTECODE
 
 PART := test/common test/controller test/actuator/test_model_blocks.py test/actuator/test_drivers.py \
   test/actuator/test_lockstep.py test/analysis/bags test/analysis/measures test/test_private_parts.py
