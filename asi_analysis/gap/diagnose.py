@@ -356,7 +356,7 @@ def _in_another_extent(case: _Case, groups: _Groups, weighed: list[Weighed],
         return [against(each, machine) for each in made] if before else made
 
     extent, notes = case.extent, list[str]()
-    for alternative in (with_hidden_load, with_lower_band):
+    for alternative in (with_lower_band, with_hidden_load):
         weighed, more, extent = alternative(weighed, made, extent, tick)
         notes += more
     return weighed, *tried[extent], notes
