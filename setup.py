@@ -23,7 +23,7 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config', glob('config/*.*')),
         ('share/' + package_name + '/config/ensemble', glob('config/ensemble/*')),
-        ('share/' + package_name + '/launch', glob('launch/*')),
+        ('share/' + package_name + '/launch', glob('launch/*.py')),
     ],
     python_requires='>=3.11',
     # Lower bounds: the oldest versions that were tried together, by `make test-oldest`. Upper: the
