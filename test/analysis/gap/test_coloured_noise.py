@@ -202,9 +202,10 @@ def test_noise_is_no_more_than_what_is_left(monkeypatch):
 # Valve position, force, velocity and position of each seed have noise of their own. With seeds 8,
 # 10, 42 and 101, errors of the valve's fit were taken for viscous friction, or noise for a gap.
 @pytest.mark.parametrize(('colour', 'deadband', 'seed'), [
-    (0.0, 0.0, 8), (0.5, 0.0, 8), (0.0, 20.0, 101), (0.85, 0.0, 1),
-    ('a low-pass of 100 Hz', 0.0, 1), (0.9, 20.0, 10), (0.9, 20.0, 42),
-    ('slow and white', 20.0, 1)])
+    ('a low-pass of 100 Hz', 0.0, 1), (0.9, 20.0, 10), *(
+        pytest.param(*each, marks=pytest.mark.slow) for each in (
+            (0.0, 0.0, 8), (0.5, 0.0, 8), (0.0, 20.0, 101), (0.85, 0.0, 1), (0.9, 20.0, 42),
+            ('slow and white', 20.0, 1)))])
 def test_coloured_noise_is_no_gap_and_hides_none(colour, deadband, seed):
     effect = {'valve_flexure.deadband': deadband}
     found = diagnose([recorded(LINEAR | effect, colour, seed)], LINEAR)

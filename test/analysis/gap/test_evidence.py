@@ -17,7 +17,7 @@ from asi_analysis.gap.inference.simulated.evidence import (
 UNIFORM = np.zeros(2)
 
 
-def integral(square, slope, theta, points=2000):
+def integral(square, slope, theta, points=500):
     """Return the log of the integral over two ranges from 0 to 1."""
     edges = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, points)])
     axes = []

@@ -138,7 +138,8 @@ def test_the_place_of_a_gap_is_no_disturbance():
 
 
 @pytest.mark.parametrize('absent', [
-    ('position_m',), ('valve_position_m', 'position_m', 'velocity_m_s')])
+    ('valve_position_m', 'position_m', 'velocity_m_s'),
+    pytest.param(('position_m',), marks=pytest.mark.slow)])
 def test_no_gap_where_signals_are_absent(absent):
     run = dataclasses.replace(recorded(), **dict.fromkeys(absent))
     assert diagnose([run], TEXTBOOK).verdict == ()
@@ -272,7 +273,8 @@ def test_propagated_noise_of_a_lag_is_smaller():
 
 
 @pytest.mark.parametrize(('changed', 'effect', 'field', 'value'), [
-    ({'valve_flexure__delay': 4.003e-3}, 'transport_delay', 'valve_flexure_delay', 4.003e-3),
+    pytest.param({'valve_flexure__delay': 4.003e-3}, 'transport_delay', 'valve_flexure_delay',
+                 4.003e-3, marks=pytest.mark.slow),   # test_own_laws.py has one, with its size
     ({'valve_hysteresis__model': 'full', 'valve_hysteresis__radius': 60.0,
       'valve_hysteresis__lag_time': 0.0}, 'valve_hysteresis', None, None),
     pytest.param({'force_sensor__offset': 25.0}, 'sensor_offset', 'force_sensor_offset', 25.0,

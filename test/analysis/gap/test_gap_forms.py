@@ -65,7 +65,7 @@ def recorded(bias: float = 0.0, viscous: float = 0.0, exponent: float = 1.0, oil
 
 @pytest.mark.parametrize(('changed', 'effect', 'sizes'), [
     ({'viscous': 700.0, 'exponent': 1.2}, 'viscous_friction', {'viscous_exponent': 1.2}),
-    ({'oil': 500.0}, 'hydraulic_damping', {}),
+    pytest.param({'oil': 500.0}, 'hydraulic_damping', {}, marks=pytest.mark.slow),
     ({'bias': 0.1 * FULL_OPENING}, 'valve_bias', {'orifice_bias': 0.1 * FULL_OPENING}),
     ({'gap': 1e-4}, 'backlash', {'backlash': 1e-4, 'piston_share': 0.4})])
 @pytest.mark.filterwarnings('ignore:without command')

@@ -130,7 +130,8 @@ def test_what_no_effect_explains_is_described():
     assert float(period) == pytest.approx(2.0 * np.pi / 9.0, rel=0.03)
 
 
-@pytest.mark.parametrize(('friction', 'turned'), [(0.0, 0.0), (0.15, 0.6)])
+@pytest.mark.parametrize(('friction', 'turned'), [
+    (0.15, 0.6), pytest.param(0.0, 0.0, marks=pytest.mark.slow)])
 def test_gravity_is_of_the_nominal_joint_and_friction_is_found_beside_it(friction, turned):
     run = joint(gravity=1.0, friction=friction)
     if turned:    # the encoder's zero is anywhere
@@ -154,15 +155,16 @@ def at_steps(seed: int) -> np.ndarray:
     return lfilter([0.03], [1.0, -0.97], lfilter([0.03], [1.0, -0.97], levels))
 
 
-def test_a_pulse_begins_and_ends_when_it_does():
+@pytest.mark.slow   # test_pulse_is_found_beside_a_worse_start has its end
+@pytest.mark.parametrize(('start', 'end'), [(4.1, 9.0), (5.3, 8.0)])
+def test_a_pulse_begins_and_ends_when_it_does(start, end):
     """Wherever that is: also among the samples that are kept for the report."""
-    for start, end in ((4.1, 9.0), (5.3, 8.0)):
-        pulse = np.where((start <= TIME_S) & (end > TIME_S), 0.4, 0.0)
-        answer = document(diagnose([joint(offset=pulse, course=TWO_WAVES)], {}, 'joint'))
-        found = answer['which'][0]
-        assert answer['verdict'] == 'disturbance_force'
-        assert found['parameters']['disturbance_start'] == pytest.approx(start, abs=0.02)
-        assert found['parameters']['disturbance_end'] == pytest.approx(end, abs=0.02)
+    pulse = np.where((start <= TIME_S) & (end > TIME_S), 0.4, 0.0)
+    answer = document(diagnose([joint(offset=pulse, course=TWO_WAVES)], {}, 'joint'))
+    found = answer['which'][0]
+    assert answer['verdict'] == 'disturbance_force'
+    assert found['parameters']['disturbance_start'] == pytest.approx(start, abs=0.02)
+    assert found['parameters']['disturbance_end'] == pytest.approx(end, abs=0.02)
 
 
 @pytest.mark.slow
@@ -314,6 +316,7 @@ def test_a_spring_is_of_the_nominal_joint_and_friction_is_found_beside_it(unit, 
     assert answer['gap']['before_nrmse'] < (0.2 if given else 0.1)
 
 
+@pytest.mark.slow   # test_no_gravity_is_found_where_there_is_none has the two waves
 @pytest.mark.parametrize(('changed', 'perhaps'), [
     ({'gravity': 0.3}, {'unknown'}), ({'late_s': 0.012}, {'transport_delay', 'valve_lag'})])
 def test_what_two_waves_cannot_tell(changed, perhaps):
@@ -416,6 +419,7 @@ def test_what_one_way_and_no_position_cannot_tell_is_said(missing):
     assert ('cannot be distinguished from a constant load' in said) != missing
 
 
+@pytest.mark.slow   # test_a_servo_of_second_order_with_its_limits has a gain of 1
 @pytest.mark.parametrize(('gain', 'offset', 'verdict'), [
     (1.01, 0.0, 'no_gap'), (1.0, 0.05, 'valve_bias')])
 def test_a_gain_or_an_offset_does_not_hide_the_second_order(gain, offset, verdict):
@@ -429,7 +433,8 @@ def test_a_gain_or_an_offset_does_not_hide_the_second_order(gain, offset, verdic
 
 
 @pytest.mark.parametrize(('rate', 'acceleration', 'late', 'verdict'), [
-    (1e9, 1e9, 0, 'no_gap'), (3.0, 60.0, 0, 'no_gap'), (1e9, 1e9, 8, 'transport_delay')])
+    (3.0, 60.0, 0, 'no_gap'), pytest.param(1e9, 1e9, 0, 'no_gap', marks=pytest.mark.slow),
+    pytest.param(1e9, 1e9, 8, 'transport_delay', marks=pytest.mark.slow)])
 def test_a_servo_of_second_order_with_its_limits(rate, acceleration, late, verdict):
     run = servo(late, rate, acceleration)
     with warnings.catch_warnings(record=True) as warned:

@@ -144,7 +144,8 @@ def test_errors_of_the_valves_fit_are_parameters_of_what_follows_it():
 
 
 @pytest.mark.parametrize(('load', 'rate_hz'), [('spring', 1000.0), ('locked', 2000.0),
-                                               ('free', 5000.0)])
+                                               pytest.param('free', 5000.0,
+                                                            marks=pytest.mark.slow)])
 def test_what_the_true_parameters_leave_is_the_noise(load, rate_hz):
     nominal = {'load.type': load}
     recordings = prepared([recorded(nominal, rate_hz, duration_s=3.0)])
@@ -288,8 +289,9 @@ BOOK = {'load.type': 'spring', 'friction.presliding_slip': 1.0,
 LEVEL = {'friction.coulomb': 37.0, 'friction.stiction_push': 57.0, 'friction.stiction_pull': 45.0}
 
 
+@pytest.mark.slow   # that of test_damping_as_another_book_has_it is another law
 @pytest.mark.parametrize(('more', 'verdict'), [
-    ({}, 'no_gap'), pytest.param(LEVEL, 'coulomb_friction', marks=pytest.mark.slow)])
+    ({}, 'no_gap'), (LEVEL, 'coulomb_friction')])
 def test_friction_as_another_book_has_it_is_no_gap_and_hides_none(more, verdict):
     """The nominal model has an elasto-plastic bristle, the machine that of LuGre."""
     run = recorded(BOOK | more, duration_s=1.5 if verdict == 'no_gap' else 2.5)
@@ -667,6 +669,7 @@ def test_a_fit_that_costs_far_more_than_a_better_one_is_found_roughly(monkeypatc
     assert cost < rough[0] < 1.05 * cost and rough[1] < 0.7 * count
 
 
+@pytest.mark.slow   # test_of_an_asymmetric_friction_the_right_sign_is_fitted screens too
 def test_a_rival_begins_at_the_size_that_the_screen_expects():
     """An offset is linear: its best size is found without a fit."""
     nominal = {'load.type': 'spring'}
@@ -682,7 +685,7 @@ def test_a_rival_begins_at_the_size_that_the_screen_expects():
     assert (start._replace(amount=1e3).nearest == start.theta).all()
 
 
-@pytest.mark.parametrize('asymmetry', [-0.6, 0.6])
+@pytest.mark.parametrize('asymmetry', [-0.6, pytest.param(0.6, marks=pytest.mark.slow)])
 def test_of_an_asymmetric_friction_the_right_sign_is_fitted(asymmetry):
     nominal = {'load.type': 'spring'}
     run = recorded({**nominal, 'friction.coulomb': 30.0,
@@ -696,7 +699,8 @@ def test_of_an_asymmetric_friction_the_right_sign_is_fitted(asymmetry):
     assert len(one_way) == 2 and all(middle * asymmetry > 0.0 for middle in one_way)
 
 
-@pytest.mark.parametrize('duration_s', [1.2, 2.0, 5.0])
+@pytest.mark.parametrize('duration_s', [
+    1.2, *(pytest.param(each, marks=pytest.mark.slow) for each in (2.0, 5.0))])
 def test_what_can_reach_a_goal_is_not_given_up_on_the_first_part(duration_s):
     """Of a short recording the first part, at least 1 s, is nearly all."""
     nominal = {'load.type': 'spring'}
@@ -712,7 +716,7 @@ def test_what_can_reach_a_goal_is_not_given_up_on_the_first_part(duration_s):
     assert most_probable(problem, far, goal=goal).cost < null.best.cost + 1.0
 
 
-@pytest.mark.parametrize('share', [1.2, 2.0])
+@pytest.mark.parametrize('share', [1.2, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_parameters_are_as_near_to_nominal_as_the_residual_may_grow(share):
     """No farther than those of fits with less and less weight of the data."""
     nominal = {'load.type': 'spring'}
@@ -757,7 +761,7 @@ def test_a_fit_that_begins_far_is_made_on_the_first_part_before():
     assert sum(size == run.time_s.size for size in sizes) < 5 < len(sizes)
 
 
-@pytest.mark.parametrize('quantum', [8.0, 33.0])
+@pytest.mark.parametrize('quantum', [8.0, pytest.param(33.0, marks=pytest.mark.slow)])
 def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
     """Of a controller whose command has large peaks; the hysteresis is as wide as a step."""
     nominal = {'load.type': 'spring'}
@@ -769,8 +773,9 @@ def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
 
 
 @pytest.mark.parametrize(('machine', 'steps'), [
-    ({}, False), ({'valve_hysteresis.rounding': 0.3}, False),
-    ({'command_path.quantum': 24.0}, True)])
+    ({'command_path.quantum': 24.0}, True), *(
+        pytest.param(each, False, marks=pytest.mark.slow) for each in (
+            {}, {'valve_hysteresis.rounding': 0.3}))])
 def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(machine, steps):
     """They change the residual by 8 %, as another law of hysteresis might."""
     nominal = {'load.type': 'spring'}
@@ -841,6 +846,7 @@ def test_one_parameter_far_beyond_its_tolerance_is_not_taken_for_laws_of_another
     assert answer['verdict'] == 'parameter:valve_characteristic.gain'
 
 
+@pytest.mark.slow   # test_the_withheld_effect_is_found_and_the_gap_shrinks does it with another
 def test_an_effect_is_named_and_the_improved_model_is_the_machine():
     nominal = {'load.type': 'spring'}
     machine = {**nominal, 'friction.coulomb': 25.0}

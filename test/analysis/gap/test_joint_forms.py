@@ -79,6 +79,7 @@ def test_a_slowly_sampled_servo_has_its_limits_and_its_delay():
     assert any(re.search(limits, note) for note in answer.notes)
 
 
+@pytest.mark.slow   # test_an_arm_behind_a_spring_is_told_while_it_still_swings has a softer one
 def test_a_stiff_coupling_is_found():
     # The load swings at 7 Hz; of the whole motion the coupling yields 0.3 %. "A disturbance and
     # something unknown", 0.86: the range of the compliance was far too wide for its size.

@@ -64,8 +64,10 @@ def test_a_case_that_cannot_be_checked_is_refused_in_words(entry, why, tmp_path)
     pytest.param(340012, 'command_quantisation', 'command_quantum', 'quantum',
                  marks=pytest.mark.slow),                             # it rests at few levels
     (310020, 'disturbance_force', 'disturbance_frequency', 'push_frequency'),  # beside a line
-    (310067, 'disturbance_force', 'disturbance_pulse', 'push_burst'),   # it hides the gravity
-    (310030, 'valve_lag', 'drive_lag', 'lag'),                        # it has two poles
+    pytest.param(310067, 'disturbance_force', 'disturbance_pulse', 'push_burst',
+                 marks=pytest.mark.slow),                             # it hides the gravity
+    pytest.param(310030, 'valve_lag', 'drive_lag', 'lag',
+                 marks=pytest.mark.slow),                             # it has two poles
     pytest.param(330031, 'valve_lag', 'valve_lag', 'lag',
                  marks=pytest.mark.slow)])                            # before a servo
 def test_size_of_what_a_fit_finds_only_from_nearby(seed, effect, field, truth):

@@ -48,9 +48,13 @@ from asi_common.jit import FULL
     ({'fluid_dynamics__air_time': 3e-4, 'fluid_dynamics__air_force': 200.0}, 'entrained_air'),
 ])
 def test_small_effect_is_found_beside_parameters_that_are_off(changed, effect):
-    run = recorded(**changed)
-    assert diagnose([run], TEXTBOOK).verdict == (effect,)
-    # Block by block, half a per cent of the signal counts as model error.
+    assert diagnose([recorded(**changed)], TEXTBOOK).verdict == (effect,)
+
+
+@pytest.mark.slow
+def test_small_effect_is_none_block_by_block():
+    """There half a per cent of the signal counts as model error."""
+    run = recorded(fluid_dynamics__air_time=3e-4, fluid_dynamics__air_force=200.0)
     assert diagnose([run], TEXTBOOK, simulate=False).verdict == ()
 
 
@@ -65,8 +69,8 @@ def test_lag_of_two_poles_and_a_bias_are_no_delay():
     assert poles == pytest.approx([0.003, 0.007], rel=0.15)
 
 
-@pytest.mark.parametrize('spread', [
-    pytest.param(0.0004, marks=pytest.mark.slow), 0.0012])
+@pytest.mark.slow   # test_a_constant_delay_is_not_called_uneven has one that does not differ
+@pytest.mark.parametrize('spread', [0.0004, 0.0012])
 def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
     """It leaves up to five times the noise, which a constant delay does not explain."""
     diagnosis = diagnose([recorded(command_path__delay=0.004,
@@ -279,8 +283,8 @@ def test_a_fit_with_long_sub_steps_ends_where_one_with_short_ones_does():
     assert gain(fine) < 0.5 < gain(coarse)
 
 
-@pytest.mark.parametrize('missing', [
-    pytest.param((), marks=pytest.mark.slow), ('position_m', 'velocity_m_s')])
+@pytest.mark.slow   # test_small_effect_is_found_beside_parameters_that_are_off names another
+@pytest.mark.parametrize('missing', [(), ('position_m', 'velocity_m_s')])
 def test_friction_behind_the_sensor_of_a_locked_load_is_named(missing):
     """The damper of the structure takes it up."""
     locked = {'load.type': 'locked'}
@@ -342,6 +346,7 @@ def test_a_lag_of_two_poles_is_compared_as_one_of_one_pole_too():
         assert simpler.best.cost < best.cost + 5.0
 
 
+@pytest.mark.slow   # test_a_special_case_of_the_best_fit_is_fitted_from_its_values
 def test_a_nominal_parameter_that_a_simpler_form_does_not_free_has_its_prior_again():
     group = simulator_group(simulator_record({'load.type': 'spring'}), prepare(
         [recorded()[:1000]]), ('force', 'velocity'))

@@ -10,7 +10,8 @@ from asi_common.record import field_name
 from asi_examiner.own import CHANGED, VISIBLE, draw_own, truth
 
 
-@pytest.mark.parametrize('seed', range(61000, 61006))
+@pytest.mark.parametrize('seed', [
+    pytest.param(61000, marks=pytest.mark.slow), *range(61001, 61006)])
 def test_own_case_is_what_its_answer_says(seed):
     case = draw_own(seed)
     assert case.run.rate_hz == pytest.approx(case.rate_hz)

@@ -58,9 +58,9 @@ def lubricated(q: float, v: float) -> float:
     return 1.2 * float(np.tanh(v / 0.1))
 
 
+@pytest.mark.slow   # test_what_has_no_name_may_still_come_closer_as_a_model has another
 @pytest.mark.parametrize(('more', 'origin', 'unit'), [
-    (drag, 0.0, 1.0), pytest.param(drag, -7.0, 1000.0, marks=pytest.mark.slow),
-    pytest.param(hardening, 0.0, 1.0, marks=pytest.mark.slow)])
+    (drag, 0.0, 1.0), (drag, -7.0, 1000.0), (hardening, 0.0, 1.0)])
 @pytest.mark.filterwarnings('ignore')   # a constant force is subtracted, there is a spring
 def test_a_law_that_has_no_name_is_unknown(more: Law, origin: float, unit: float) -> None:
     found = asked(joint(more, origin, unit))

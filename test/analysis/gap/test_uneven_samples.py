@@ -118,7 +118,7 @@ def test_a_drive_of_uneven_samples_answers_row_by_row():
     assert found.joined[found.verdict] > 0.9
 
 
-@pytest.mark.parametrize('late', [0, 1])
+@pytest.mark.parametrize('late', [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_row_of_the_force_that_answers_a_command_is_a_convention(late: int):
     # In the row of the command it was 0.7 of `no_gap`, and a saturation was not found.
     time = PERIOD_S * np.arange(2000)
@@ -145,6 +145,7 @@ def test_a_limit_of_a_reference_is_found_about_any_origin(origin: float):
     assert model.kp == pytest.approx((8.0 * np.pi) ** 2, rel=0.02)
 
 
+@pytest.mark.slow   # of one: test_a_limit_of_a_reference_is_found_about_any_origin
 def test_two_recordings_share_the_limits_of_their_reference():
     # Each counted from its own mean. Of two recordings each drive and servo was a ValueError.
     time = PERIOD_S * np.arange(1000)
@@ -163,6 +164,7 @@ def test_two_recordings_of_a_drive_have_no_gap():
     assert found.joined[()] > 0.9
 
 
+@pytest.mark.slow   # of a position: test_a_limit_of_a_reference_is_found_about_any_origin
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_a_limit_of_a_velocity_that_has_one_sign_is_found(sign: float):
     time = PERIOD_S * np.arange(1000)
@@ -177,7 +179,7 @@ def test_a_limit_of_a_velocity_that_has_one_sign_is_found(sign: float):
         1.9 * sign, abs=0.02)
 
 
-@pytest.mark.parametrize('late', [-0.5, 0.5])
+@pytest.mark.parametrize('late', [-0.5, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_measured_force_whose_stamp_is_half_a_sample_off_has_no_lag(late: float):
     # It was attenuated as if it were held: a lag of the sensor, 1.00.
     time = 2.0 * PERIOD_S * np.arange(1500)
