@@ -76,15 +76,22 @@ def test_noise_model_of_a_long_record_is_that_of_its_rows():
     assert _triangle_of_lags(np.sin(0.01 * np.arange(2 * BLOCK)), 24) is None
 
 
-@pytest.mark.parametrize('family', FAMILIES)
-def test_each_family_gets_its_verdict(family):
-    row = check_verdicts(family, count=2, seed=3)
-    assert row['right'] == 2, row
+# Of each verdict there are others, which take less time.
+LONG = ('Van der Pol, approach', 'Duffing, self-excited', 'Duffing, damped')
+
+
+@pytest.mark.parametrize(('family', 'count'), [
+    *((family, 1) for family in FAMILIES if family not in LONG),
+    *(pytest.param(family, 2, marks=pytest.mark.slow) for family in FAMILIES)])
+def test_each_family_gets_its_verdict(family, count):
+    row = check_verdicts(family, count, seed=3)
+    assert row['right'] == count, row
     assert row['false_limit_cycles'] == 0
 
 
-@pytest.mark.parametrize('family', ['Van der Pol', 'cycle between rests', 'driven linear loop',
-                                    'white noise'])
+@pytest.mark.parametrize('family', [
+    'Van der Pol', *(pytest.param(family, marks=pytest.mark.slow) for family in (
+        'cycle between rests', 'driven linear loop', 'white noise'))])
 def test_a_sure_verdict_survives_cuts_decimation_and_an_offset(family):
     row = check_robustness(family, count=1, seed=5)
     assert row['sure'] == row['survived'] == 1
@@ -97,10 +104,14 @@ def simulated(gain, step=100.0, duration=1.0):
                source=f'gain {gain}', information={'actuator': {}})
 
 
-def test_actuator_cycles_at_high_gain_and_settles_at_low():
-    last = judge_run(simulated(11.0))[-1]
+def test_actuator_cycles_at_high_gain():
+    last = judge_run(simulated(11.0, duration=0.4))[-1]
     assert last.verdict == 'limit_cycle' and last.confidence > 0.9
     assert 80.0 < last.frequency_hz < 100.0
+
+
+@pytest.mark.slow   # test_a_step_of_our_actuator_that_settles_has_no_oscillation_to_attribute
+def test_actuator_settles_at_low_gain():
     assert all(s.verdict != 'limit_cycle' for s in judge_run(simulated(3.0)))
 
 
@@ -215,7 +226,7 @@ def test_without_a_reference_nobody_is_sure_of_a_cycle():
     assert segment.verdict == 'limit_cycle' and segment.confidence > 0.9
 
 
-@pytest.mark.parametrize('starts', [0.0, 20.0])
+@pytest.mark.parametrize('starts', [0.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_a_load_that_nobody_recorded_is_no_sure_limit_cycle(starts):
     """A PI loop whose load is a triangle, from the beginning on or after a rest."""
     level, total, rows = 0.0, 0.0, []
@@ -495,8 +506,10 @@ def test_bad_input_is_named(run, words):
         judge_run(run)
 
 
+# In this process: test_api.py; in one of its own: test_a_temporary_folder_that_is_full.
+@pytest.mark.slow
 def test_command_prints_what_is_documented(tmp_path):
-    write_bag(simulated(10.0), tmp_path / 'bag')
+    write_bag(simulated(10.0, duration=0.4), tmp_path / 'bag')
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'limit-cycle', str(tmp_path / 'bag'),
          '--report', str(tmp_path), '--json'],

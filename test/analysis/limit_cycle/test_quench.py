@@ -105,7 +105,7 @@ def test_dither_quenches_a_cycle_that_is_barely_there_and_costs_valve_travel():
 
 def test_command_prints_what_is_documented_and_fails_when_it_finds_a_cycle(tmp_path):
     result = subprocess.run(
-        [sys.executable, '-m', 'asi_analysis.cli', 'quench', '--gain', '10', '--conditions', '8',
+        [sys.executable, '-m', 'asi_analysis.cli', 'quench', '--gain', '10', '--conditions', '4',
          '--report', str(tmp_path), '--json'],
         capture_output=True, text=True)
     document = json.loads(result.stdout)

@@ -83,7 +83,8 @@ def test_a_sine_does_not_skip_rows_where_its_time_does_too() -> None:
 
 
 @pytest.mark.parametrize('shape', ['triangle', 'step'])
-@pytest.mark.parametrize('controller', [{}, {'gain_schedule.velocity': 0.1}])
+@pytest.mark.parametrize('controller', [
+    {'gain_schedule.velocity': 0.1}, pytest.param({}, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('change', [
     lambda f: f[::-1],
     lambda f: np.interp(0.97 * np.arange(len(f)), np.arange(len(f)), f)])   # its clock drifts

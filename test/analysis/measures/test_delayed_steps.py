@@ -56,9 +56,14 @@ def check(run: Run, delay: int, lag: int = 0) -> None:
     assert max(1.0, 0.02 * delay) * 1.001 > max(delay - shown, shown - delay - lag)
 
 
+LAGS = ((0, 0.0), (0, 0.005), (3, 0.005), (8, 0.005))      # samples; noise
+
+
 @pytest.mark.parametrize('delay_s', [0.001, 0.06, 0.25, 0.7])
-@pytest.mark.parametrize('rate_hz', [100.0, 1000.0, 5000.0])
-@pytest.mark.parametrize(('lag', 'noise'), [(0, 0.0), (0, 0.005), (3, 0.005), (8, 0.005)])
+@pytest.mark.parametrize(('rate_hz', 'lag', 'noise'), [
+    *((1000.0, *each) for each in LAGS), (100.0, 0, 0.005), (5000.0, 3, 0.005),
+    *(pytest.param(rate_hz, *each, marks=pytest.mark.slow) for rate_hz in (100.0, 5000.0)
+      for each in LAGS)])
 def test_the_delay_of_a_staircase_is_told(delay_s: float, rate_hz: float, lag: int, noise: float
                                           ) -> None:
     """Of an exact copy, with noise or a lag, shorter and longer than a step."""
@@ -195,8 +200,10 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *w
     return capsys.readouterr().out
 
 
-@pytest.mark.parametrize(('kind', 'noise'), [('stairs', 0.0), ('stairs', 0.01), ('chirp', 0.01),
-                                             ('noise', 0.01), ('multisine', 0.01)])
+@pytest.mark.parametrize(('kind', 'noise'), [
+    ('stairs', 0.01), ('multisine', 0.01), *(pytest.param(*each, marks=pytest.mark.slow) for each
+                                             in (('stairs', 0.0), ('chirp', 0.01),
+                                                 ('noise', 0.01)))])
 def test_the_command_tells_the_delay_of_a_file(
         kind: str, noise: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         capsys: pytest.CaptureFixture[str]) -> None:

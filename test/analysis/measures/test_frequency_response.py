@@ -176,7 +176,8 @@ def test_actuator_in_the_loop_against_its_linear_blocks():
     assert found == pytest.approx(expected, rel=0.02) and doubt is None
 
 
-@pytest.mark.parametrize('lowest_hz', [2.0, 15.0, 30.0])
+@pytest.mark.parametrize('lowest_hz', [
+    2.0, 30.0, pytest.param(15.0, marks=pytest.mark.slow)])
 def test_bandwidth_from_the_command_is_doubtful_without_low_frequencies(lowest_hz):
     """With the lead at first, and hysteresis, the command has lower ones: it was 92 Hz for 25."""
     run = simulate({}, {'compensator': 'lead_lag', 'reference.shape': 'chirp',
@@ -188,7 +189,7 @@ def test_bandwidth_from_the_command_is_doubtful_without_low_frequencies(lowest_h
     assert any('bandwidth from the command: doubtful' in each for each in found.notes) is not low
 
 
-@pytest.mark.parametrize('current', ['0A', '1A'])
+@pytest.mark.parametrize('current', ['0A', pytest.param('1A', marks=pytest.mark.slow)])
 def test_servohydraulic_press(current):
     """
     Reference to displacement of a real press: its lag is found in both recordings alike.

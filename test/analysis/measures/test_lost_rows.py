@@ -26,7 +26,7 @@ def without_each(run: Run, number: int) -> Run:
 
 
 @pytest.mark.parametrize('shape', ['step', 'triangle'])
-@pytest.mark.parametrize('number', [4, 10, 17])
+@pytest.mark.parametrize('number', [4, 17, pytest.param(10, marks=pytest.mark.slow)])
 def test_the_command_shows_rows_that_were_lost(shape: str, number: int) -> None:
     run = replace(a_loop(shape), position_m=None, velocity_m_s=None)
     assert findings(run) == []
@@ -47,7 +47,8 @@ def test_the_position_shows_rows_that_were_lost(number: int) -> None:
 
 
 @pytest.mark.parametrize('addition', [
-    {'hysteresis_inverse.size': 20.0}, {'gain_schedule.velocity': 0.1}, {'saturation': 110.0}])
+    {'hysteresis_inverse.size': 20.0}, *(pytest.param(each, marks=pytest.mark.slow) for each in (
+        {'gain_schedule.velocity': 0.1}, {'saturation': 110.0}))])
 def test_a_controller_that_is_not_linear_lost_no_rows(addition: dict[str, float]) -> None:
     for shape in ('step', 'triangle'):
         assert findings(a_loop(shape, **addition)) == []

@@ -149,12 +149,13 @@ def test_what_is_only_unusual_is_not_accused(change: Callable[[np.ndarray], np.n
 
 @pytest.mark.parametrize('kind, change', [
     ('clipping', lambda f: np.minimum(f, 130.0)),      # three samples of each cycle
-    ('spike', lambda f: put(f, 900, 6.6e5)),
-    ('unit', lambda f: 1e-3 * f),
-    ('jump', lambda f: put(f, slice(900, None), 1e3 * f[900:])),
-    ('jump', lambda f: put(f, slice(900, 960), -f[900:960])),
-    ('frozen', lambda f: put(f, slice(900, 906), f[900])),
-    ('missing', lambda f: put(f, slice(900, 980), np.nan))])
+    ('missing', lambda f: put(f, slice(900, 980), np.nan)), *(
+        pytest.param(*each, marks=pytest.mark.slow) for each in (
+            ('spike', lambda f: put(f, 900, 6.6e5)),
+            ('unit', lambda f: 1e-3 * f),
+            ('jump', lambda f: put(f, slice(900, None), 1e3 * f[900:])),
+            ('jump', lambda f: put(f, slice(900, 960), -f[900:960])),
+            ('frozen', lambda f: put(f, slice(900, 906), f[900]))))])
 def test_a_limit_cycle_of_doubtful_samples_is_marked(
         kind: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
     answer = detect_limit_cycles(with_force(cycle(), change))

@@ -89,7 +89,8 @@ ALTERED: dict[str, tuple[str, Callable[[Run], Run]]] = {
 }
 
 
-@pytest.mark.parametrize(('compensator', 'digits'), [('lead4', 17), ('lead_lag', 6)])
+@pytest.mark.parametrize(('compensator', 'digits'), [
+    ('lead_lag', 6), pytest.param('lead4', 17, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('how', ALTERED)
 def test_samples_that_do_not_belong_together_are_found(
         how: str, compensator: str, digits: int) -> None:
@@ -380,8 +381,9 @@ REPLACED: dict[str, Callable[[Run], Run]] = {
 }
 
 
-@pytest.mark.parametrize('addition', [{}, {'hysteresis_inverse.size': 20.0},
-                                      {'gain_schedule.velocity': 0.1}, {'saturation': 110.0}])
+@pytest.mark.parametrize('addition', [
+    {'gain_schedule.velocity': 0.1}, *(pytest.param(each, marks=pytest.mark.slow) for each in (
+        {}, {'hysteresis_inverse.size': 20.0}, {'saturation': 110.0}))])
 @pytest.mark.parametrize('how', REPLACED)
 def test_a_command_that_its_controller_does_not_compute_is_found(
         how: str, addition: dict[str, float]) -> None:

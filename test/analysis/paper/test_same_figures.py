@@ -48,7 +48,7 @@ def test_recordings_at_the_onset_are_the_cycle_that_the_facts_tell(facts, step_n
     gain, expected = (facts[onset_name(step_n, what)] for what in ('gain', 'frequency_hz'))
     run = in_process(step_experiment(
         {**LOCKED}, {'gain': gain, 'feedforward': CONDITIONS.feedforward}, step_n, 12.0))
-    end = Run(*run).between(6.0, 12.0)
+    end = Run(*run).between(9.0, 12.0)
     judged = judge_run(end)[-1]
     assert judged.verdict == 'limit_cycle'
     assert judged.frequency_hz == pytest.approx(expected, rel=2e-3)

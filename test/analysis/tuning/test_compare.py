@@ -22,7 +22,7 @@ from asi_common.parameter import defaults
 
 CONTROLLERS = {'P': {'gain': 3.0}, 'lead4': {'compensator': 'lead4'}}
 SHORT = {'rates_hz': [2000.0], 'springs_n_m': [1e5], 'plants': 2, 'noise_n': 0.0,
-         'attacks': 40}
+         'attacks': 16}
 
 
 @pytest.fixture(scope='module')
@@ -67,8 +67,8 @@ def test_errors_of_a_plant_are_about_its_own_parameters() -> None:
 
 def test_attack_is_that_of_quench(compared: Comparison) -> None:
     for name, controller in CONTROLLERS.items():
-        trials = search({'load.mass': 2.0}, controller, (2000.0,), 40, 1)
-        assert values(compared, '40 attacks at 2000 Hz', name) == {
+        trials = search({'load.mass': 2.0}, controller, (2000.0,), 16, 1)
+        assert values(compared, '16 attacks at 2000 Hz', name) == {
             'sustained_found': sum(trial.sustained for trial in trials)}
 
 

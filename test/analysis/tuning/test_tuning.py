@@ -92,11 +92,11 @@ def test_points_are_settings_and_within_what_the_controller_takes():
 
 
 def test_search_writes_what_it_finds_and_says_what_it_is(monkeypatch, tmp_path):
-    monkeypatch.setattr(search, 'ATTACKED', 4)
-    monkeypatch.setattr(search, 'POPULATION', 4)
-    found = tune_controller({}, {}, 'quiet', 4, 8, 1, tmp_path)
+    monkeypatch.setattr(search, 'ATTACKED', 2)
+    monkeypatch.setattr(search, 'POPULATION', 2)
+    found = tune_controller({}, {}, 'quiet', 2, 4, 1, tmp_path)
     assert problems(found.to_dict(), 'asi tune') == []
     assert read_parameters(tmp_path / 'controller.yaml', 'controller') == found.controller
-    assert found.evaluations == 4 and found.conditions_tried == 8
+    assert found.evaluations == 2 and found.conditions_tried == 4
     assert {row['name'] for row in found['rows']} == {row.name for row in ROWS}
     found.write_report(tmp_path)
