@@ -1,6 +1,7 @@
 """What `colcon build` makes of the package, as users with a ROS 2 installation do; with `ros2`."""
 
 import contextlib
+import hashlib
 import importlib.util
 import os
 import re
@@ -17,6 +18,7 @@ import yaml
 from conftest import ROOT, NodeProcess, wait_until
 
 from asi_analysis.bags.bag import read_bag
+from asi_common import jit
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec('colcon_core') is None,
@@ -64,6 +66,31 @@ def start(prefix: Path, ros_environment: dict[str, str], tmp_path: Path) -> Iter
         process.kill()
 
 
+@pytest.fixture
+def compiled(prefix: Path) -> Iterator[None]:
+    """
+    Give the installed modules the compiled code of these, which takes half a minute otherwise.
+
+    Numba keeps it in a folder named after that of the module, and loads it for the same source.
+    If it finds none there, it compiles.
+    """
+    root = next(prefix.glob('lib/python*/site-packages'))
+    here = jit._FOLDER
+    assert here is not None
+    own = here.parents[1] / f'asi_actuator-{hashlib.sha256(bytes(root)).hexdigest()[:12]}'
+
+    def kept(base: Path, module: Path) -> Path:
+        return base / f'{module.name}_{hashlib.sha1(str(module).encode()).hexdigest()}'
+
+    for package in ('asi_common', 'asi_actuator', 'asi_controller'):
+        for module in (ROOT / package, *(ROOT / package).rglob('*/')):
+            if kept(here, module).is_dir():
+                shutil.copytree(kept(here, module), kept(
+                    own / here.name, root / module.relative_to(ROOT)), dirs_exist_ok=True)
+    yield
+    shutil.rmtree(own, ignore_errors=True)   # nobody else has a use for it
+
+
 def interrupt(process: NodeProcess) -> int:
     """Press Ctrl-C; return the exit status."""
     os.killpg(process.pid, signal.SIGINT)
@@ -88,6 +115,7 @@ def test_installed_layout_of_the_frames_is_found(prefix: Path, start: Callable) 
     assert process.text.split()[-1] == '38.5'
 
 
+@pytest.mark.usefixtures('compiled')
 def test_installed_nodes_run_with_the_installed_parameter_files(
         prefix: Path, start: Callable) -> None:
     config = prefix / 'share' / 'asi_actuator' / 'config'

@@ -186,8 +186,9 @@ def test_rviz_where_it_is_installed_and_otherwise_what_is_missing(evaluated: Eva
         ('robot_state_publisher', 'rviz2'), missing['log'], strict=True)] == [True, True]
 
 
-@pytest.mark.parametrize('file', ['actuator.yaml', 'controller.yaml', 'can.yaml',
-                                  'quiet.yaml'])
+@pytest.mark.parametrize('file', [
+    'can.yaml', 'quiet.yaml', *(pytest.param(file, marks=pytest.mark.slow) for file in (
+        'actuator.yaml', 'controller.yaml'))])
 def test_each_shipped_file_gives_the_nodes_what_it_says(
         file: str, evaluated: Evaluated, start_launched: Callable[[Any], NodeProcess],
         get_parameters: Callable) -> None:

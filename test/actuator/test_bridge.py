@@ -351,7 +351,8 @@ def ask(call: Callable) -> Callable[[str], tuple[bool, str]]:
     return ask
 
 
-@pytest.mark.parametrize('interface', ['slcan', 'udp_multicast'])
+@pytest.mark.parametrize('interface', [
+    'slcan', pytest.param('udp_multicast', marks=pytest.mark.slow)])
 def test_force_loop_over_can(
         interface: str, start_node: Callable, peer: Callable, states: Listener, ask: Callable,
         ros_environment: dict[str, str], tmp_path: Path) -> None:
@@ -489,10 +490,11 @@ def test_interface_that_is_not_there_is_a_problem_in_one_line(interface: str) ->
 
 @pytest.mark.parametrize(('parameters', 'words'), [
     ({'driver': 'can'}, "mode = 'lockstep' is not allowed with driver = 'can'"),
-    ({'driver': 'can', 'mode': 'realtime', 'can.interface': 'pigeon'}, 'can.interface = '),
     ({'driver': 'can', 'mode': 'realtime', 'can.dbc': '/nowhere.dbc'}, '/nowhere.dbc'),
     ({'driver': 'replay', 'replay.bag': '/nowhere'}, "replay.bag = '/nowhere'"),
-    ({'driver': 'pigeon'}, 'one of can, replay, simulated'),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in (
+        ({'driver': 'can', 'mode': 'realtime', 'can.interface': 'pigeon'}, 'can.interface = '),
+        ({'driver': 'pigeon'}, 'one of can, replay, simulated'))),
 ])
 def test_driver_that_cannot_work_is_one_line_and_exit_status_2(
         parameters: dict, words: str, start_node: Callable) -> None:

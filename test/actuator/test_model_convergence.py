@@ -186,10 +186,21 @@ HARSH = np.concatenate([np.full(20, 4000.0), np.full(20, -4000.0),
                         np.random.default_rng(1).normal(0.0, 1500.0, 60)])
 
 
-@settings(max_examples=400)
+@settings(max_examples=120)
 @given(ALLOWED)
 @example({'friction.coulomb': 5.7e-303, 'friction.presliding_stiffness': 1.2e6})
 def test_every_allowed_parameter_gives_a_finite_force(values: dict[str, Value]) -> None:
+    check_finite(values)
+
+
+@pytest.mark.slow
+@settings(max_examples=400)
+@given(ALLOWED)
+def test_every_allowed_parameter_of_many_gives_a_finite_force(values: dict[str, Value]) -> None:
+    check_finite(values)
+
+
+def check_finite(values: dict[str, Value]) -> None:
     try:
         p = as_record(values)
     except ParameterError:

@@ -34,12 +34,26 @@ def asi(*arguments, **options):
         env={**os.environ, 'PYTHONPATH': str(ROOT)}, **options)
 
 
+@pytest.fixture
+def here(monkeypatch, capsys):
+    """Return a function that runs the command in this process: what it returns, and printed."""
+    def main(*arguments):
+        monkeypatch.setattr(sys, 'argv', ['asi', *arguments])
+        return cli.main(), *capsys.readouterr()
+    return main
+
+
 @pytest.mark.parametrize('command', ['run', 'analyze', 'import', 'export', 'reproduce', 'demo',
                                      'gap'])
-def test_help_of_each_command_shows_an_example(command):
-    result = asi(command, '--help')
-    assert result.returncode == 0
-    assert f'Example: asi {command} ' in ' '.join(result.stdout.split())
+def test_help_of_each_command_shows_an_example(command, here):
+    status, output, _ = here(command, '--help')
+    assert status == 0
+    assert f'Example: asi {command} ' in ' '.join(output.split())
+
+
+def test_a_process_of_its_own_shows_its_help():
+    result = asi('--help')
+    assert result.returncode == 0 and 'Usage: ' in result.stdout
 
 
 def test_help_loads_nothing_heavy():
@@ -170,7 +184,7 @@ def test_documentation_check_can_fail():
     assert len(problems(answer, 'asi analyze')) == 3
 
 
-def test_table_becomes_a_bag_and_a_table_again(tmp_path):
+def test_table_becomes_a_bag_and_a_table_again(tmp_path, monkeypatch, here):
     """A step in a CSV of milliseconds and kilonewtons: imported, analysed, exported."""
     t = np.arange(2000)
     force = np.where(t > 100, 0.1 * (1.0 - np.exp(-(t - 100) / 20.0)), 0.0)
@@ -182,16 +196,17 @@ def test_table_becomes_a_bag_and_a_table_again(tmp_path):
     document = json.loads(imported.stdout)
     assert problems(document, 'asi import') == []
     assert (document['rate_hz'], document['signals']) == (1000.0, ['reference', 'force'])
-    answer = json.loads(asi('analyze', 'bag', '--json', cwd=tmp_path).stdout)
+    monkeypatch.chdir(tmp_path)
+    answer = json.loads(here('analyze', 'bag', '--json')[1])
     assert answer['rise_time_s'] == pytest.approx(0.020 * np.log(9.0), rel=1e-3)
     assert answer['bandwidth_hz'] == pytest.approx(1.0 / (2.0 * np.pi * 0.020), rel=0.02)
-    exported = asi('export', 'bag', '--out', 'again.csv', '--json', cwd=tmp_path)
-    assert problems(json.loads(exported.stdout), 'asi export') == []
+    exported = here('export', 'bag', '--out', 'again.csv', '--json')[1]
+    assert problems(json.loads(exported), 'asi export') == []
     table = np.genfromtxt(tmp_path / 'again.csv', delimiter=',', names=True)
     assert np.allclose(table['force_n'], 1e3 * force)
 
 
-def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
+def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path, here):
     """The analysis of a bag from three processes is that of the same loop computed here."""
     out = tmp_path / 'out'
     result = asi('run', '--compensator', 'lead_lag', '--step', '150', '--load', 'spring',
@@ -210,13 +225,13 @@ def test_run_over_ros_equals_the_loop_in_process(ros_environment, tmp_path):
                 'bandwidth_hz'):
         assert answer[key] == pytest.approx(expected[key], rel=1e-6), key
 
-    again = asi('analyze', answer['bag'], '--json')
-    assert again.returncode == 0
-    for key, value in json.loads(again.stdout).items():
+    status, again, _ = here('analyze', answer['bag'], '--json')
+    assert status == 0
+    for key, value in json.loads(again).items():
         assert answer[key] == value
-    table = asi('analyze', answer['bag'])
-    assert f'{answer["overshoot_percent"]:.3g} %' in table.stdout
-    assert 'oscillation none' in ' '.join(table.stdout.split())
+    _, table, _ = here('analyze', answer['bag'])
+    assert f'{answer["overshoot_percent"]:.3g} %' in table
+    assert 'oscillation none' in ' '.join(table.split())
 
 
 def messages_of(bag):
@@ -280,7 +295,8 @@ def recording(ros_environment, tmp_path):
         process.wait()
 
 
-@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('how', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL])
 def test_stopped_in_the_middle_leaves_a_bag_and_no_orphan(how, recording, tmp_path):
     out, process = tmp_path / 'out', recording
     process.send_signal(how)
@@ -311,18 +327,19 @@ def test_dead_node_is_named(recording, tmp_path):
     assert len(read_bag(out / 'bag')) > 100
 
 
-def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
+def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path, here):
     said = []
-    for name, how in (('run0', []), ('run1', ['--in-process'])):
+    arguments = ('run', '--duration', '0.2', '--step', '2400', '--set',
+                 'actuator.valve_characteristic.maximum_force=4000', '--out')
+    result = asi(*arguments, str(tmp_path / 'run0'))
+    status, _, complaint = here(*arguments, str(tmp_path / 'run1'), '--in-process')
+    for name, code, text in (('run0', result.returncode, result.stderr),
+                             ('run1', status, complaint)):
         out = tmp_path / name
-        result = subprocess.run(
-            [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(out), '--duration',
-             '0.2', '--step', '2400', '--set', 'actuator.valve_characteristic.maximum_force=4000',
-             *how], env=ros_environment, capture_output=True, text=True)
-        assert result.returncode == 1
-        assert 'limit.valve_disagreement = 1e-05 m' in result.stderr
-        assert 'Traceback' not in result.stderr
-        line = result.stderr.replace('\n', '')
+        assert code == 1
+        assert 'limit.valve_disagreement = 1e-05 m' in text
+        assert 'Traceback' not in text
+        line = text.replace('\n', '')
         assert f'the bag so far: {out / "bag"}' in line
         # Over ROS a run this short may end before its state is heard: then it is that of the log.
         said.append(re.search(r'valve_position less .*? = 1e-05 m', line).group())
@@ -333,6 +350,7 @@ def test_run_that_ends_in_a_fault_is_no_result(ros_environment, tmp_path):
     assert [topic for topic, *_ in in_process].count('/diagnostics') == 2
 
 
+@pytest.mark.slow   # test_run_that_ends_in_a_fault_is_no_result has one in its midst
 def test_run_whose_first_state_is_beyond_a_limit_is_no_result(ros_environment, tmp_path):
     result = subprocess.run(
         [sys.executable, '-m', 'asi_analysis.cli', 'run', '--out', str(tmp_path / 'run'),

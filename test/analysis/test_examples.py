@@ -12,7 +12,13 @@ MODULES = sorted({asi_analysis._HOME[name] for name in asi_analysis.__all__} | {
     'bags.exchange.preview', 'free_parameter', 'tuning.z_width'})
 
 
-@pytest.mark.parametrize('module', MODULES)
+# That of the ablation says what test_attribution.py compares with the paper.
+SLOW = ('limit_cycle.attribution.ablation',)
+
+
+@pytest.mark.parametrize('module', [
+    pytest.param(module, marks=pytest.mark.slow) if module in SLOW else module
+    for module in MODULES])
 def test_examples_of_the_api(module: str) -> None:
     failed, _ = doctest.testmod(importlib.import_module(f'asi_analysis.{module}'),
                                 optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)

@@ -9,14 +9,16 @@ from asi_analysis import cli
 from torture.options import accepted_only, clean, material, numbers, problem_before_computing
 
 
-def test_an_odd_number_is_accepted_or_refused_in_one_line(tmp_path, monkeypatch):
+@pytest.mark.parametrize(('times', 'some'), [
+    (1, 60), pytest.param(3, 200, marks=pytest.mark.slow)])
+def test_an_odd_number_is_accepted_or_refused_in_one_line(times, some, tmp_path, monkeypatch):
     """Every option of the application; of --set, which has hundreds, some."""
     material(tmp_path, 0.2)
     monkeypatch.chdir(tmp_path)
     random, known = Random(1), list(numbers())
     own = [option for option in known if option.name.startswith('--')]
     problems = []
-    for option in [*(3 * own), *random.sample(known, 200)]:
+    for option in [*(times * own), *random.sample(known, some)]:
         arguments = option.call(random)
         if problem := problem_before_computing(option, arguments):
             problems.append((arguments, problem))

@@ -313,7 +313,8 @@ def test_every_executable_says_what_it_cannot_do(name, module, function):
     assert 'no_rule' in result.stderr or 'socketcan' in result.stderr
 
 
-@pytest.mark.parametrize('argument, status', [('--help', 0), ('my_run', 2), ('--params-file', 2)])
+@pytest.mark.parametrize('argument, status', [
+    ('--help', 0), ('my_run', 2), pytest.param('--params-file', 2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize('module, function', [row[1:] for row in EXECUTABLES
                                               if row[0] != 'can_actuator'])
 def test_a_node_says_which_arguments_it_takes(module, function, argument, status, tmp_path):

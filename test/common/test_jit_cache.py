@@ -28,9 +28,13 @@ def without_cache(folder: Path, **environment: str) -> dict[str, str]:
         'PYTHONPATH': str(folder), **environment}
 
 
-def start(folder: Path, **environment: str) -> tuple[list[str], str]:
-    """Run PROBE on the packages in a folder; return its lines and what it complained of."""
-    result = subprocess.run([sys.executable, '-c', PROBE], capture_output=True, text=True,
+# Prints the folder, of which every program takes the same, and compiles nothing.
+FOLDER = 'from asi_common import jit; print(jit._FOLDER)'
+
+
+def start(folder: Path, probe: str = PROBE, **environment: str) -> tuple[list[str], str]:
+    """Run a probe on the packages in a folder; return its lines and what it complained of."""
+    result = subprocess.run([sys.executable, '-c', probe], capture_output=True, text=True,
                             env=without_cache(folder, **environment), cwd=folder)
     assert result.returncode == 0, result.stderr
     return result.stdout.splitlines(), result.stderr
@@ -71,17 +75,17 @@ def test_module_that_compiles_nothing_leaves_the_key(copy: Path, tmp_path: Path)
 def test_folder_in_use_is_not_removed(copy: Path, tmp_path: Path) -> None:
     home = {'HOME': str(tmp_path / 'home')}
     environment = without_cache(copy, **home)
-    with subprocess.Popen([sys.executable, '-c', PROBE + 'input()'], stdin=subprocess.PIPE,
+    with subprocess.Popen([sys.executable, '-c', FOLDER + '; input()'], stdin=subprocess.PIPE,
                           stdout=subprocess.PIPE, text=True, env=environment, cwd=copy) as running:
         assert running.stdout is not None
         used = Path(running.stdout.readline().strip())
         parameters = copy / 'asi_actuator' / 'parameters.py'
         parameters.write_text(parameters.read_text() + '\n')
-        start(copy, **home)
+        start(copy, FOLDER, **home)
         assert used.exists()
         running.communicate('\n')
     parameters.write_text(parameters.read_text() + '\n')
-    start(copy, **home)
+    start(copy, FOLDER, **home)
     assert not used.exists()
 
 
@@ -93,7 +97,7 @@ def test_folder_in_use_is_not_removed(copy: Path, tmp_path: Path) -> None:
 def test_place_is_the_first_that_can_be_written(copy: Path, tmp_path: Path,
                                                 given: dict[str, str], place: str) -> None:
     lines, complaint = start(
-        copy, **{name: str(tmp_path / value) for name, value in given.items()})
+        copy, FOLDER, **{name: str(tmp_path / value) for name, value in given.items()})
     assert Path(lines[0]).is_relative_to(tmp_path / place) and not complaint
 
 
@@ -112,7 +116,7 @@ def test_temporary_folder_of_another_user_is_not_used(copy: Path, tmp_path: Path
     foreign = tmp_path / 'tmp' / f'asi_actuator-{os.getuid()}'
     foreign.mkdir(parents=True)
     foreign.chmod(0o777)
-    lines, _ = start(copy, HOME='/proc', TMPDIR=str(tmp_path / 'tmp'))
+    lines, _ = start(copy, FOLDER, HOME='/proc', TMPDIR=str(tmp_path / 'tmp'))
     assert not Path(lines[0]).is_relative_to(foreign)
 
 

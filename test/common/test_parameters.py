@@ -129,13 +129,14 @@ def test_quality_of_service_is_overridden_by_parameters(
      'qos_overrides./force.publisher.depth = -1 is not allowed: it takes a whole number from 1'),
     ('asi_controller: {ros__parameters: {qos_overrides: {/forces: {publisher: {depth: 1}}}}}',
      "qos_overrides./forces.publisher.depth: the topic '/forces' is not one of /joint_states"),
-    ('asi_controller: {ros__parameters: {qos_overrides: {/force: {publisher: {deep: 1}}}}}',
-     "the policy 'deep' is not one of history, depth, reliability"),
-    ('asi_controller: {ros__parameters: {gain: -1.0}}', 'gain = -1.0 is not allowed'),
     ('asi_controller: {ros__parameters: {lead_leg: {ratio: 2.0}}}', 'did you mean lead_lag.ratio'),
-    ('asi_controller: {ros__parameters: {gain: [1.0, 2.0]}}', 'gain = '),
     ('asi_controller: [', 'parameters'),
-    (None, 'parameters'),
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in (
+        ('asi_controller: {ros__parameters: {qos_overrides: {/force: {publisher: {deep: 1}}}}}',
+         "the policy 'deep' is not one of history, depth, reliability"),
+        ('asi_controller: {ros__parameters: {gain: -1.0}}', 'gain = -1.0 is not allowed'),
+        ('asi_controller: {ros__parameters: {gain: [1.0, 2.0]}}', 'gain = '),
+        (None, 'parameters'))),
 ])
 def test_wrong_parameter_file_is_one_line_and_exit_status_2(
         text: str | None, words: str, start_node: Callable, tmp_path: Path) -> None:

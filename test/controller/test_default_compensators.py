@@ -11,7 +11,8 @@ from asi_controller.compensators import COMPENSATORS
 WITH_LAG = [name for name, each in COMPENSATORS.items()
             if 'lag_time' in {parameter.name for parameter in each.parameters}]
 SPRING = {'load.type': 'spring', 'load.mass': 0.3}
-CASES = [({}, 100.0), ({}, 500.0), (SPRING, 150.0)]
+CASES = [({}, 500.0), (SPRING, 150.0),
+         pytest.param({}, 100.0, marks=pytest.mark.slow)]
 # At 1 kHz over ROS the command answers the state of a period before.
 RATES = [(5000.0, {}, 2.5), (1000.0, {'force_sensor.delay': 1.1e-3}, 1.5)]
 

@@ -21,7 +21,8 @@ def shipped(name):
 
 
 @pytest.mark.parametrize(('name', 'actuator'), [
-    *((name, {}) for name in GIVEN_UP), ('quiet', {'maximum_substep': 1.25e-5})])
+    *((name, {}) for name in GIVEN_UP),
+    pytest.param('quiet', {'maximum_substep': 1.25e-5}, marks=pytest.mark.slow)])
 def test_settings_miss_the_rows_that_they_give_up(name, actuator):
     misses = missed(figures(actuator, shipped(name)))
     assert {row for row, miss in misses.items() if miss > 0.0} == GIVEN_UP[name]

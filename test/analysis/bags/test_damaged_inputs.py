@@ -35,19 +35,25 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Path]]:
     yield corpus(folder)
 
 
-@settings(few, max_examples=200)
-@given(seed=seeds, number=st.integers(0, 14))
-def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], seed: int, number: int
-                                                       ) -> None:
+@pytest.mark.parametrize('examples', [50, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_damaged_file_is_read_or_refused_in_one_line(files: list[Path], examples: int) -> None:
     """Any but the last, a MAT file, which is read in a process of its own."""
-    good = files[number]
-    assert not file_problem(good, files[0].parent / 'damaged', Random(seed))
+    @settings(few, max_examples=examples)
+    @given(seed=seeds, number=st.integers(0, 14))
+    def check(seed: int, number: int) -> None:
+        assert not file_problem(files[number], files[0].parent / 'damaged', Random(seed))
+
+    check()
 
 
-@settings(few, max_examples=40)
-@given(seed=seeds)
-def test_no_figure_of_spoilt_samples_differs_silently(seed: int) -> None:
-    assert not figure_problem(recording(), Random(seed))
+@pytest.mark.parametrize('examples', [8, pytest.param(40, marks=pytest.mark.slow)])
+def test_no_figure_of_spoilt_samples_differs_silently(examples: int) -> None:
+    @settings(few, max_examples=examples)
+    @given(seed=seeds)
+    def check(seed: int) -> None:
+        assert not figure_problem(recording(), Random(seed))
+
+    check()
 
 
 @pytest.mark.slow
@@ -57,11 +63,15 @@ def test_no_figure_of_a_run_with_a_command_differs_silently(seed: int) -> None:
     assert not figure_problem(with_command(), Random(seed))
 
 
-@settings(few, max_examples=6)
-@given(seed=seeds)
-def test_nor_while_the_command_is_saturated_or_without_it(seed: int) -> None:
-    for run in (saturated(), without_command()):
-        assert not figure_problem(run, Random(seed))
+@pytest.mark.parametrize('examples', [2, pytest.param(6, marks=pytest.mark.slow)])
+def test_nor_while_the_command_is_saturated_or_without_it(examples: int) -> None:
+    @settings(few, max_examples=examples)
+    @given(seed=seeds)
+    def check(seed: int) -> None:
+        for run in (saturated(), without_command()):
+            assert not figure_problem(run, Random(seed))
+
+    check()
 
 
 @pytest.mark.parametrize('path', kept(), ids=lambda path: str(path.relative_to(KEPT)))

@@ -352,7 +352,8 @@ def test_needs_either_a_rate_or_a_time(tmp_path: Path) -> None:
             import_recording(tmp_path / 'a.mat', mapping, rate_hz)
 
 
-@pytest.mark.parametrize('name', ['DATA_EMPS', 'DATA_EMPS_PULSES'])
+@pytest.mark.parametrize('name', [
+    'DATA_EMPS', pytest.param('DATA_EMPS_PULSES', marks=pytest.mark.slow)])
 def test_emps(tmp_path: Path, name: str) -> None:
     """The numbers of the source, and the published parameters out of the imported bag."""
     file = data(f'emps/{name}.mat')
@@ -385,8 +386,8 @@ def identified(run: Run) -> np.ndarray:
                            signal.decimate(command, 25), rcond=None)[0]
 
 
-@pytest.mark.parametrize(('current', 'count', 'force_kn'), [('0A', 61500, 0.955),
-                                                            ('1A', 59100, 3.75)])
+@pytest.mark.parametrize(('current', 'count', 'force_kn'), [
+    ('0A', 61500, 0.955), pytest.param('1A', 59100, 3.75, marks=pytest.mark.slow)])
 def test_servohydraulic_press(tmp_path: Path, current: str, count: int, force_kn: float) -> None:
     file = mts(current)
     import_recording(file, MTS_MAP, 1000.0, skip_lines=6, zero_s=1.0, out=tmp_path / 'bag')
