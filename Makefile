@@ -63,7 +63,8 @@ soak: setup
 bench: setup $(VENV)/benchmarked
 	@$(BIN)/python -m bench $(BENCH)
 
-lint: setup
+# Beside the compilation of the diagnosis, with make -j2.
+lint: ready $(VENV)/tested
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy asi_common asi_actuator asi_controller asi_analysis asi_examiner
 	@$(BIN)/lint-imports
