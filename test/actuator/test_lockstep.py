@@ -220,7 +220,6 @@ def test_commands_of_two_controllers_that_disagree_are_a_fault(
     assert actuator.stop() == 0
 
 
-@pytest.mark.slow   # test_stray_state_is_ignored_and_counted has another distance
 def test_different_rates_are_an_error_that_says_both(start_node: Callable) -> None:
     start_node(ACTUATOR, rate_hz=2000.0, give_up_after=60.0)
     controller = start_node(CONTROLLER, rate_hz=5000.0)

@@ -130,10 +130,7 @@ def test_lost_samples_and_long_periods_are_a_warning_that_passes(
         'asi_actuator', 'took', begin=begin).message
 
 
-# A controller that is gone: test_watchdog_takes_the_command_away_until_the_reset; an actuator:
-# test_controller_says_that_the_actuator_is_gone_and_gives_no_command.
-@pytest.mark.slow
-@pytest.mark.parametrize('mode', ['lockstep', 'realtime'])
+@pytest.mark.parametrize('mode', ['realtime', pytest.param('lockstep', marks=pytest.mark.slow)])
 def test_a_partner_that_is_gone_is_a_warning(
         mode: str, start_node: Callable, diagnostics: Callable) -> None:
     from diagnostic_msgs.msg import DiagnosticStatus

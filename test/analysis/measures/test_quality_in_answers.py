@@ -16,9 +16,6 @@ from asi_analysis.bags.exchange.exporting import export
 from asi_analysis.bags.exchange.importing import import_recording
 from asi_analysis.bags.run import Run, StateChange
 from asi_analysis.errors import InputWarning
-from asi_analysis.gap.answer import command as gap
-from asi_analysis.gap.diagnose import diagnose
-from asi_analysis.gap.diagnosis import Diagnosis
 from asi_analysis.loop.in_process import simulate
 from asi_analysis.measures.analysis import analyze
 from asi_analysis.measures.quality import findings
@@ -66,13 +63,6 @@ def test_every_answer_and_report_says_what_is_wrong_with_the_samples(
         capsys: pytest.CaptureFixture[str]) -> None:
     words, reliable = COMMANDS[command]
     words = [word.format(**bags) for word in words]
-    # The same recording is diagnosed twice, which takes longest: the second time it is known. Nor
-    # is it explained by what is looked for if no effect explains it.
-    monkeypatch.setattr('asi_analysis.gap.diagnose._in_another_extent',
-                        lambda case, groups, weighed, tick: (weighed, case, groups, []))
-    known: list[Diagnosis] = []
-    monkeypatch.setattr(gap, 'diagnosis_of', lambda *given, **options: known[0] if known else (
-        known.append(diagnose(*given, **options)) or known[0]))
     report = [] if command in WITHOUT_REPORT else ['--report', str(tmp_path / 'report')]
     answer = json.loads(said(monkeypatch, capsys, [*words, *report, '--json']))
     clipped = next(each for each in answer['quality'] if each['kind'] == 'clipping')
