@@ -189,4 +189,4 @@ def _needs_other_shapes(found: Found) -> bool:
     theta = np.array([problem.parameter(each).share(float(
         (values if each in found.problem.free else group.nominal)[each.field])) for each in free])
     goal = found.best.cost + COST_RANGE
-    return most_probable(problem, theta, goal=goal).cost > goal
+    return problem.cost(theta) > goal and most_probable(problem, theta, goal=goal).cost > goal
