@@ -51,7 +51,7 @@ SIZES: Final = {
     'leakage_quadratic': 'share lost at the largest force', 'air_time': 'time at no force',
     'friction_level': 'sliding friction', 'friction_asymmetry': 'asymmetry',
     'friction_breakaway': 'breakaway over sliding friction, less one', 'viscous': 'damping',
-    'friction_creep': 'velocity at which it is three quarters of it',
+    'friction_creep': 'velocity over which the friction rises',
     'viscous_asymmetry': 'asymmetry of the viscous friction', 'backlash': 'half width of the gap',
     'compliance': 'compliance', 'disturbance': 'constant', 'disturbance_wave': 'wave',
     'disturbance_frequency': 'frequency', 'disturbance_pulse': 'pulse',

@@ -64,8 +64,9 @@ NAMES: Final = {'load_mass': 'inertia', 'load_damping': 'damping',
 # Damping of what rubs, as a share of critical, before it slides: the fit has none, and the
 # simulated joint would ring.
 RUBBING_DAMPING: Final = 0.2
-# The nearest to an effect that a simulator's joint has no field for.
-NEAREST: Final = {'stiction': 'coulomb_friction', 'friction_asymmetry': 'coulomb_friction'}
+# The nearest to an effect that a simulator's joint has no field for, or not for all its sizes.
+NEAREST: Final = dict.fromkeys(('coulomb_friction', 'stiction', 'friction_asymmetry'),
+                               'coulomb_friction')
 # A servo that follows at once: time of its response, as a share of delay and lag, or in samples.
 SHARE_LATE: Final = 0.1
 SAMPLES: Final = 1.0

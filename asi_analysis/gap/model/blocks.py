@@ -86,7 +86,7 @@ EFFECT_FIELDS = (
     'friction_asymmetry',       # -1 to 1
     'friction_breakaway',       # breakaway over sliding friction, less one
     'friction_stribeck',        # m/s
-    'friction_bristle',         # m, deflection of the seals at breakaway
+    'friction_bristle',         # m, deflection of the seals at breakaway, without asymmetry
     'friction_rounding',        # 0: one slip element; 0.5: spread elements; 1: Dahl's bristle
     'friction_falling',         # 1 to 2: exponent of the fall from breakaway to sliding
     'friction_creep',           # m/s, about which friction rises with the velocity; 0: with strain

@@ -405,7 +405,8 @@ def _mechanics(recordings: Sequence[Recording], given: Mapping[str, Value], tole
     travel = max(float(np.ptp(r.motion.position[r.motion.inner]))
                  for r in recordings if r.motion)
     effects = joint_effects(period, travel, 'load.mass' in given, force_measured,
-                            rattling_in(rattles), guessed_coupling(recordings))
+                            rattling_in(rattles), guessed_coupling(recordings),
+                            nominal['friction_level'] > 0.0)
     if weighs and healthy:
         effects |= GRAVITY
         size = tolerance * math.hypot(*(float(given.get(f'gravity.{part}', 0.0))

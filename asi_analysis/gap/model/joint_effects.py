@@ -35,15 +35,17 @@ LOOP_TIMES = (0.001, 0.004, 0.015, 0.06, 0.2)
 
 
 def joint_effects(period: float, travel: float, mass_given: bool, force_measured: bool,
-                  rattling: Sequence[Variant], coupling: Coupling | None = None) -> Effects:
+                  rattling: Sequence[Variant], coupling: Coupling | None = None,
+                  rubs: bool = False) -> Effects:
     """
     Return the candidate effects between the force and the motion of a joint.
 
     period: of the samples, s; travel: range of motion, m or rad; mass_given: the mass is known, so
     that a gain error of the force can be identified; force_measured: not only commanded; coupling:
-    where the fit of a compliance begins, too. Effects that equal free parameters of the nominal
-    model are left out: a constant disturbance equals an offset. So does the constant part of
-    asymmetric friction, which is fitted without an offset.
+    where the fit of a compliance begins, too; rubs: friction is given, so that how it begins to
+    slide is no effect. Effects that equal free parameters of the nominal model are left out: a
+    constant disturbance equals an offset. So does the constant part of asymmetric friction, which
+    is fitted without an offset.
     """
     covered = {'disturbance', 'sensor_offset'}
     if not mass_given:
@@ -78,7 +80,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     effects['friction_asymmetry'] += tuple(sliding._replace(free=(
         *sliding.free, Free('viscous_asymmetry', low, high, (start,))))
         for low, high, start in ASYMMETRIES)
-    for name, creep in CREEP.items():
+    for name, creep in CREEP.items() if not rubs else ():
         effects[name] += tuple(_creeping(form, creep) for form in effects[name]
                                if not form.joined and 'viscous_asymmetry' not in form.fields)
     soft, = effects['load_compliance']
@@ -103,9 +105,12 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
 
 
 def _creeping(form: Variant, creep: Free) -> Variant:
-    """Return a form of friction that falls with the velocity, not with the displacement."""
-    return form._replace(free=(*(free for free in form.free if free.field not in (
-        'friction_bristle', 'friction_rounding')), creep))
+    """Return a form of friction that rises with the velocity, not with the displacement."""
+    # It falls, if it does, above that velocity: else there were no breakaway.
+    return form._replace(free=(*(
+        free._replace(low=creep.high, starts=(0.1, 0.3)) if free.field == 'friction_stribeck'
+        else free for free in form.free
+        if free.field not in ('friction_bristle', 'friction_rounding')), creep))
 
 
 def _coupled(soft: Variant, coupling: Coupling | None, mass_given: bool) -> tuple[Variant, ...]:

@@ -194,7 +194,7 @@ def friction_parameters(p: np.void, values: Mapping[str, Value]) -> dict[str, Va
                     'friction.stiction_pull': nominal[2] + level * high * (1.0 - uneven)}
         if p['friction_breakaway'] > 0.0:
             changed['friction.stribeck_velocity'] = float(p['friction_stribeck'])
-        if not full and p['friction_bristle'] > 0.0:
+        if not full and p['friction_bristle'] > 0.0 and p['friction_creep'] == 0.0:
             changed['friction.presliding_stiffness'] = level * high / float(p['friction_bristle'])
             changed['friction.presliding_damping'] = 0.0
             changed['friction.presliding_slip'] = float(p['friction_rounding'] > DAHL_ROUNDING)

@@ -121,7 +121,7 @@ def test_the_same_experiment_gives_the_same_file(ros_environment: dict[str, str]
 
 @pytest.mark.parametrize('names', [
     ('one',), pytest.param(('one', 'two'), marks=pytest.mark.slow)])
-def test_a_fault_in_lockstep_is_in_the_bag_with_its_time_and_reason_the_same_each_time(
+def test_a_fault_in_lockstep_is_in_the_bag_with_its_time_and_reason(  # twice: the same
         names: tuple[str, ...], start_node: Start, tmp_path: Path) -> None:
     configuration = tmp_path / 'run.json'
     configuration.write_text('{}')

@@ -21,6 +21,7 @@ from asi_analysis.gap.model.servo.identification import Servo, follow, servo_of,
 from asi_analysis.gap.model.servo.nominal import late_by
 from asi_analysis.gap.prepare import Recording, prepare
 from asi_common.jit import jit
+from asi_common.parameter import Value
 
 PERIOD_S = 0.004
 TIME_S = PERIOD_S * np.arange(1500)
@@ -299,3 +300,30 @@ def test_asymmetric_friction_is_as_stiff_one_way_as_the_other(rounding: float):
     up, down = forces(1e-5), forces(-1e-5)
     assert up[0] == pytest.approx(-down[0], rel=0.03)
     assert (up[-1], down[-1]) == (pytest.approx(15.0), pytest.approx(-5.0))
+
+
+def test_creeping_friction_rises_with_the_velocity_and_has_no_memory():
+    p = plant_record({})
+    for name, value in (('friction_level', 10.0), ('friction_creep', 0.05)):
+        p[name] = value
+
+    def force(velocity: float) -> float:
+        e = parts(p)[1]
+        return float(slide(*seized(e), 1e-3, velocity, e))
+
+    assert force(0.0) == 0.0 and force(0.05) == -force(-0.05) == pytest.approx(
+        10.0 * math.tanh(1.0))
+    p['friction_asymmetry'] = 0.5
+    assert (force(1.0), force(-1.0)) == (pytest.approx(15.0), pytest.approx(-5.0))
+    p['friction_asymmetry'], p['friction_breakaway'], p['friction_stribeck'] = 0.0, 1.0, 0.3
+    assert force(0.15) > 15.0 and force(3.0) == pytest.approx(10.0, 1e-3)
+
+
+@pytest.mark.parametrize('given', [{}, {'friction.model': 'full', 'friction.coulomb': 1.0}])
+def test_how_a_given_friction_begins_to_slide_is_no_effect(given: dict[str, Value]):
+    run = Run(TIME_S, command_n=REFERENCE, position_m=0.1 * REFERENCE, source='joint',
+              information={'signals': {'command': 'N', 'position': 'm'}})
+    groups, _ = joint_groups([run], given, 0.2, [False], 'force')
+    creeping = [form for forms in groups[-1].effects.values() for form in forms
+                if 'friction_creep' in form.fields]
+    assert bool(creeping) == (not given)

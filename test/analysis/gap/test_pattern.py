@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from asi_analysis.bags.run import Run
+from asi_analysis.gap.answer.joint_model import joint_model, node_parameters
 from asi_analysis.gap.diagnose import Diagnosis, diagnose
 from asi_analysis.gap.findings.pattern import pattern
 from asi_analysis.gap.model.joint import joint_groups
@@ -82,6 +83,12 @@ def test_friction_that_rises_with_the_velocity_is_coulomb_friction() -> None:
     assert found.verdict == ('coulomb_friction',) and found.joined[found.verdict] > 0.85
     assert found.best(found.groups[-1]).fitted.values['friction_creep'] == pytest.approx(0.1, 0.1)
     assert found.best(found.groups[-1]).fitted.values['friction_level'] == pytest.approx(1.2, 0.02)
+    # In another simulator it is dry friction, of which no stiffness is known.
+    assert joint_model(found).friction == pytest.approx(1.2, 0.02)
+    values, said, unsaid = node_parameters(found, {})
+    assert values['friction.coulomb'] == pytest.approx(1.2, 0.02)
+    assert 'friction.presliding_stiffness' not in values
+    assert any('velocity over which' in each for each in unsaid) and said
 
 
 @pytest.mark.filterwarnings('ignore')
