@@ -255,9 +255,11 @@ def _second_effects(group: Group, first: Candidate, name: str) -> Iterable[tuple
     """Yield the forms of a first hypothesis with each compatible form of a further effect."""
     fixed = dict(pair for variant in first.variants for pair in variant.fixed)
     friction = any('friction_level' in variant.fields for variant in first.variants)
+    creeps = any('friction_creep' in variant.fields for variant in first.variants)
     for variant in group.effects[name]:
         clash = any(fixed.get(field, value) != value for field, value in variant.fixed)
         adds_friction = 'friction_level' in variant.fields
+        clash |= friction and adds_friction and creeps != ('friction_creep' in variant.fields)
         # Two kinds of friction are combined in one friction model.
         leaves = any(_needs_more(group, first.fitted, each)
                      for each in channels_of(variant, group))

@@ -24,10 +24,8 @@ STIFF = {'compliance': Free('compliance', 1e-5, 0.1, (
              0.001, 0.002, 0.004, 0.008, 0.015, 0.03, 0.06), 'compliance', 'm/N'),
          'piston_share': Free('piston_share', 0.0, 0.8, (0.5, 0.1))}
 # Velocity about which friction rises that has no deflection: of a lubricated contact, and of many
-# simulators. Stiction falls again with the velocity: rising as slowly, it would be a drag.
-CREEP = {name: Free('friction_creep', 1e-4, high, (0.003, 0.03), 'velocity', 'm/s')
-         for name, high in (('coulomb_friction', 0.5), ('friction_asymmetry', 0.5),
-                            ('stiction', 0.05))}
+# simulators. Not stiction: with the fall after it, that would be any drag with a peak.
+CREEP = Free('friction_creep', 1e-4, 0.5, (0.003, 0.03), 'velocity', 'm/s')
 NO_OFFSET = Free('load_offset', -0.02, 0.02, (0.0,), 'force')
 # Delays and lags of a joint, s: ten times those of a valve, for slow machines; or in samples.
 LONGEST, LONGEST_SAMPLES = 1.0, 20
@@ -80,8 +78,8 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     effects['friction_asymmetry'] += tuple(sliding._replace(free=(
         *sliding.free, Free('viscous_asymmetry', low, high, (start,))))
         for low, high, start in ASYMMETRIES)
-    for name, creep in CREEP.items() if not rubs else ():
-        effects[name] += tuple(_creeping(form, creep) for form in effects[name]
+    for name in ('coulomb_friction', 'friction_asymmetry') if not rubs else ():
+        effects[name] += tuple(_creeping(form) for form in effects[name]
                                if not form.joined and 'viscous_asymmetry' not in form.fields)
     soft, = effects['load_compliance']
     effects['load_compliance'] = (
@@ -104,13 +102,10 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
     return effects
 
 
-def _creeping(form: Variant, creep: Free) -> Variant:
+def _creeping(form: Variant) -> Variant:
     """Return a form of friction that rises with the velocity, not with the displacement."""
-    # It falls, if it does, above that velocity: else there were no breakaway.
-    return form._replace(free=(*(
-        free._replace(low=creep.high, starts=(0.1, 0.3)) if free.field == 'friction_stribeck'
-        else free for free in form.free
-        if free.field not in ('friction_bristle', 'friction_rounding')), creep))
+    return form._replace(free=(*(free for free in form.free if free.field not in (
+        'friction_bristle', 'friction_rounding')), CREEP))
 
 
 def _coupled(soft: Variant, coupling: Coupling | None, mass_given: bool) -> tuple[Variant, ...]:
