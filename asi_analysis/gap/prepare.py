@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,12 +116,12 @@ class Recording:
         assert self.motion is not None
         return self.motion
 
-    @property
+    @cached_property
     def known(self) -> Mask:
         """Return the samples for fits and model selection: all but the validation samples."""
         return self.fit | self.held_out
 
-    @property
+    @cached_property
     def valid(self) -> Mask:
         """Return the samples at which all signals are valid, for whatever use."""
         return self.known | self.report

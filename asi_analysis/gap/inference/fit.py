@@ -29,6 +29,7 @@ from asi_analysis.gap.model.effects import (
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
+from asi_analysis.gap.model.rattling import FLOATING
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL
@@ -393,10 +394,12 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
 
     The fit of `screen` is the start, extended by the parameters of the variants. The columns of
     its Jacobian are used again, since they change little, but not if the fit also begins at
-    distant initial guesses. followed: number of the best starts that are fitted.
+    distant initial guesses. followed: so many of the best starts are fitted; all, if a mass is
+    within a backlash: each contact makes a local minimum.
     """
     problem, starts = _extended_problem(group, screen.base, variants)
-    followed = followed if len(starts) > FEW_STARTS else 1
+    followed = (len(starts) if FLOATING in problem.fixed else
+                followed if len(starts) > FEW_STARTS else 1)
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
     # The parameters of the variants may have other bounds, so their columns differ.
     own = fields_of(variants)
@@ -421,7 +424,7 @@ def polish(group: Group, fitted: Fitted) -> Fitted:
     fixed = fitted.problem.fixed
     best = fit(group, fitted.free, [fitted.theta], fixed, rounds=POLISH_ROUNDS)
     fields = [free.field for free in fitted.free]
-    if ('backlash_floating', 1.0) in fixed and 'piston_share' in fields:
+    if FLOATING in fixed and 'piston_share' in fields:
         for share in MASS_SHARES:
             moved = best.theta.copy()
             moved[fields.index('piston_share')] = share

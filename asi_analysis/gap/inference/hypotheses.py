@@ -214,8 +214,9 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
     Return the fits of the hypotheses with the lowest cost in the linear screen.
 
     choices: alternative forms of each hypothesis; most: number of hypotheses that are fitted, in
-    at most `forms` forms each; reached: costs of hypotheses that were fitted from another base;
-    they are fitted again if the screen expects a lower cost from this one.
+    the forms of at most `forms` sets of parameters each; reached: costs of hypotheses that were
+    fitted from another base; they are fitted again if the screen expects a lower cost from this
+    one.
     """
     if not choices:
         return {}
@@ -228,9 +229,11 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
 
     costs = in_threads(costs_of, choices.values())
     for (names, alternatives), of_forms in zip(choices.items(), costs, strict=True):
-        screened += [(cost, names, alternatives[number])
-                     for cost, number in sorted(of_forms)[:forms]
-                     if cost < (1.0 - LEAST_SCREENED_GAIN) * min(base.cost,
+        ranked = [(cost, alternatives[number]) for cost, number in sorted(of_forms)]
+        fields = list(dict.fromkeys(frozenset(fields_of(variants)) for _, variants in ranked))
+        screened += [(cost, names, variants) for cost, variants in ranked
+                     if fields_of(variants) in fields[:forms]
+                     and cost < (1.0 - LEAST_SCREENED_GAIN) * min(base.cost,
                                                            reached.get(names, math.inf))]
         tick()
     screened.sort(key=lambda entry: entry[0])

@@ -7,6 +7,7 @@ residual that the fitted parameters could explain is removed first.
 
 import itertools
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +33,11 @@ REFINEMENT = 50    # factor of each refinement of these times
 STEPS = np.concatenate([np.arange(2.0, 60.0, 0.02), np.arange(60.0, 400.0, 0.1)])
 BINS, PEAKS = 4000, 60
 FINE_STEPS, EQUIVALENT = np.linspace(-0.1, 0.1, 101), 0.99
-# Kinds of rounding: command_phase and command_truncated.
-QUANTISERS = {'residual_step': (0.0, 0.0), 'residual_step_edge': (0.5, 0.0),
-              'residual_step_zero': (0.0, 1.0)}
+# Few steps change the fit without them, too: so many of the best of these are simulated as well,
+# and quanta near the best, if that explains twice as much as what the fine grid finds.
+FEW_STEPS, MORE, NEARBY = np.geomspace(2.0, 20.0, 200), 20, np.linspace(0.994, 1.006, 9)
+# Kinds of rounding: command_phase. Steps towards zero have the edges of `residual_step_edge`.
+QUANTISERS = {'residual_step': 0.0, 'residual_step_edge': 0.5}
 OFFSET_RANGE = 1e3  # range of a free offset, as a multiple of the residual's norm
 # An excitation by a few sines: their largest number, and the least share of the power of force or
 # motion in each of them and in all together.
@@ -56,8 +59,7 @@ def initial_guesses(fitted: Fitted) -> Values:
     Of each recording: residual_frequency (Hz) and residual_phase (turns, 1 to 2) of the strongest
     sine in the load's residual; residual_start and residual_end (s) of its strongest pulse. Of
     the first: the quantum of the command (N) if it is rounded to the nearest step
-    (residual_step), to steps with an edge at zero (residual_step_edge), or towards zero
-    (residual_step_zero).
+    (residual_step), or to steps with an edge at zero (residual_step_edge).
     """
     group = fitted.problem.group
     found: Values = {}
@@ -91,6 +93,7 @@ def _deflated_residual(fitted: Fitted, channel: str, recording: Recording) -> tu
     used = _used(recording)
     residual = (_target(recording, channel) - base) * used
     columns = [np.full_like(base, OFFSET_RANGE * np.linalg.norm(residual))]
+    base = _predicted(recording, channel, fitted.problem.record(fitted.theta))
     for number, free in enumerate(fitted.free):
         if acts_on(free.field, channel, group):
             step = STEP if fitted.theta[number] < 0.5 else -STEP
@@ -237,21 +240,32 @@ def _steps(fitted: Fitted, channel: str) -> Values:
     own = simulator.of_simulator(p)
     band, bias = ((p['valve_flexure_deadband'], p['valve_flexure_bias']) if own else
                   (p['command_deadband'], p['command_bias']))
-    residual, _ = _deflated_residual(fitted, channel, recording)
+    residual, known = _deflated_residual(fitted, channel, recording)
     count = next_fast_len(command.size + _response_samples(recording), real=True)
+    response = _response(recording, p, count)
     # At each sample: the inner product of the residual with the response to 1 N of command.
     gain_by_sample = np.fft.irfft(
-        np.conj(_response(recording, p, count)) * np.fft.rfft(residual, count),
-        count)[:command.size]
+        np.conj(response) * np.fft.rfft(residual, count), count)[:command.size]
     largest = float(np.abs(command).max())
     used = _used(recording)
 
-    def gain(counts: Array, levels: Array, quantiser: tuple[float, float]) -> Array:
+    def gain(counts: Array, levels: Array, phase: float) -> Array:
         values, level = np.unique(levels, return_inverse=True)
         out = np.empty(counts.size)
         step_gain(values, np.bincount(level, used), np.bincount(level, gain_by_sample),
-                         largest / counts, *quantiser, band, bias, out)
+                  largest / counts, phase, band, bias, out)
         return out
+
+    def exact_gain(steps: float, phase: float) -> float:
+        # With the response itself, without what the fitted parameters explain of it.
+        quantum = largest / steps
+        stepped = quantum * (np.floor(command / quantum + 0.5 - phase) + phase)
+        driven, plain = (drive - np.clip(drive, -band, band)
+                         for drive in (stepped + bias, command + bias))
+        change = driven - plain
+        moved = used * np.fft.irfft(response * np.fft.rfft(change, count), count)[:command.size]
+        moved -= known @ (known.T @ moved)
+        return max(float(residual @ moved), 0.0) ** 2 / max(float(moved @ moved), 1e-300)
 
     few_levels = np.unique(command).size <= BINS
     width = 2.0 * largest / BINS
@@ -261,19 +275,28 @@ def _steps(fitted: Fitted, channel: str) -> Values:
         levels = command if few_levels else width * np.round(command / width)
         coarse = gain(STEPS, levels, QUANTISERS[name])
         peaks, _ = find_peaks(coarse)
-        steps = STEPS[peaks[np.argsort(-coarse[peaks])[:PEAKS]]] if len(peaks) else STEPS[:1]
-        left = [_left_with(fitted, channel, recording, form, largest / each) for each in steps]
-        nearby = steps[np.argmin(left)] + FINE_STEPS
+        few = np.array([exact_gain(each, QUANTISERS[name]) for each in FEW_STEPS])
+        steps = np.concatenate([STEPS[peaks[np.argsort(-coarse[peaks])[:PEAKS]]],
+                                FEW_STEPS[np.argsort(-few)[:MORE]]])
+        def gained(each: float, form: Variant = form) -> float:
+            return -_left_with(fitted, channel, recording, form, largest / each)
+
+        alone, best = gained(math.inf), float(max(steps, key=gained))
+        nearby = best + FINE_STEPS
         gains = gain(nearby, command, QUANTISERS[name])
         # With few levels neighbouring quanta are equivalent until one level changes.
-        found[name] = largest / float(nearby[gains >= EQUIVALENT * gains.max()].mean())
+        finer = float(nearby[gains >= EQUIVALENT * gains.max()].mean())
+        if gained(finer) - alone < 0.5 * (gained(best) - alone):
+            finer = float(max(best * NEARBY, key=gained))
+        found[name] = largest / finer
     return found
 
 
-def _quantisations(group: Group) -> tuple[Variant, ...]:
-    """Return the forms of a quantised command that begin with a guess of the quantum."""
-    return tuple(form for form in group.effects.get('command_quantisation', ())
-                 if form.free[0].scale in QUANTISERS)
+def _quantisations(group: Group) -> Iterable[Variant]:
+    """Return the forms of a quantised command that begin with a guess of the quantum, by guess."""
+    forms = group.effects.get('command_quantisation', ())
+    return {form.free[0].scale: form for form in reversed(forms)
+            if form.free[0].scale in QUANTISERS}.values()
 
 
 def _left_with(fitted: Fitted, channel: str, recording: Recording, form: Variant, quantum: float
@@ -343,7 +366,7 @@ def _response(recording: Recording, p: np.void, count: int) -> Complex:
 
 
 @jit
-def step_gain(values, counts, sums, quanta, phase, truncated, band, bias, out):
+def step_gain(values, counts, sums, quanta, phase, band, bias, out):
     """
     Put into `out` how much of the residual's energy rounding to each quantum (N) could explain.
 
@@ -362,7 +385,7 @@ def step_gain(values, counts, sums, quanta, phase, truncated, band, bias, out):
     for k in range(quanta.size):
         even, along, size, product = 0.0, 0.0, 0.0, 0.0
         for i in range(values.size):
-            stepped = in_steps(values[i], quanta[k], phase, truncated) + bias
+            stepped = in_steps(values[i], quanta[k], phase, 0.0) + bias
             change = dead_zone(stepped, band) - plain[i]
             even += counts[i] * change
             along += counts[i] * change * (plain[i] - mean)

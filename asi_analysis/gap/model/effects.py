@@ -173,7 +173,7 @@ EFFECTS: Effects = {
         *(Variant((Free('command_quantum', 0.997, 1.003, (1.0,), guess, 'N'),), VALVE_SIDE, fixed)
           for guess, fixed in (('residual_step', (('command_phase', 0.0),)),
                               ('residual_step_edge', (('command_phase', 0.5),)),
-                              ('residual_step_zero', (('command_truncated', 1.0),)))),
+                              ('residual_step_edge', (('command_truncated', 1.0),)))),
     ),
     'valve_hysteresis': (
         Variant((Free('loop_width', 0.0, 0.8, (0.007, 0.02, 0.06, 0.15), 'command', 'N'),

@@ -79,7 +79,7 @@ EFFECTS: Effects = {
         _form(Free('command_path_quantum', 0.997, 1.003, (1.0,), guess),
               fixed={'command_path_rounding': kind})
         for guess, kind in (('residual_step', NEAREST), ('residual_step_edge', EDGE),
-                            ('residual_step_zero', ZERO))),
+                            ('residual_step_edge', ZERO))),
     'valve_hysteresis': (
         _form(_scaled('valve_hysteresis_radius', 0.0, 10.0), needs=('valve_hysteresis_model',)),
         _form(_scaled('valve_hysteresis_radius', 0.0, 10.0),

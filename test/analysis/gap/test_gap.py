@@ -24,7 +24,7 @@ from asi_analysis.gap.diagnose import diagnose
 from asi_analysis.gap.diagnosis import improved_of
 from asi_analysis.gap.document import document, plain
 from asi_analysis.gap.findings.shrink import _interval
-from asi_analysis.gap.inference import plausibility
+from asi_analysis.gap.inference import fit, plausibility
 from asi_analysis.gap.inference.fit import (
     LinearScreen,
     Problem,
@@ -387,6 +387,20 @@ def test_fit_starts_from_parameters_outside_its_bounds():
     floating = EFFECTS['backlash'][-1]
     fitted = fit_subset(group, null, (floating,), null)
     assert null.record['compliance'] == 0.0 < fitted.values['compliance']
+
+
+def test_of_a_mass_within_a_backlash_every_start_is_fitted(monkeypatch):
+    """Which one is the best at first says little: each contact makes a local minimum."""
+    group, begun = actuator_groups([recorded()], TEXTBOOK, 0.2, [False])[0][-1], []
+    screen = LinearScreen(fit_null(group))
+    monkeypatch.setattr(fit, 'minimise', lambda residual, jacobian, start, *_: (
+        begun.append(start), (start, float(np.sum(residual(start) ** 2))))[1])
+    for variant in EFFECTS['backlash'][-2:]:
+        begun.clear()
+        fit_variants(group, screen, (variant,))
+        starts = sum(len(free.starts) - 1 for free in variant.free) + 1
+        floating = ('backlash_floating', 1.0) in variant.fixed
+        assert len(begun) == (starts if floating else 1) and starts > 2
 
 
 def _late(run: Run, samples: int) -> Run:

@@ -44,6 +44,7 @@ from asi_analysis.gap.inference.simulated.behind_valve import with_simulated_val
 from asi_analysis.gap.inference.simulated.evidence import weigh
 from asi_analysis.gap.inference.simulated.explained import weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
+    from_usual_parameters,
     null_fit,
     parameter_errors,
     with_noise_from_fit,
@@ -783,6 +784,34 @@ def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(m
     answered, = explained_by_simulator([simulator_group(
         simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
     assert (answered.probability.get(('command_quantisation',), 0.0) > 0.9) == steps
+
+
+@pytest.mark.parametrize('quantum', [60.0, pytest.param(120.0, marks=pytest.mark.slow)])
+def test_large_steps_towards_zero_are_found_beside_other_nominal_parameters(quantum):
+    """Without the steps, a lower gain and a wider hysteresis fit best: with these, other steps."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'command_path.quantum': quantum, 'command_path.rounding': 'zero',
+                    'valve_hysteresis.radius': 22.0, 'valve_flexure.coil_frequency': 16.5})
+    answered, = explained_by_simulator([simulator_group(
+        simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
+    assert answered.probability[('command_quantisation',)] > 0.9
+
+
+def test_a_fit_at_improbable_parameters_is_repeated_from_usual_ones():
+    """The maximum force and the full opening act alike: only their ratio is known well."""
+    nominal = {'load.type': 'spring'}
+    run = recorded(nominal, duration_s=1.5)
+    found = null_fit(simulator_group(simulator.simulator_record(nominal), prepared([run]),
+                                     CHANNELS))
+    assert not found.improbable and from_usual_parameters(found) is found
+    fields = [free.field for free in found.problem.free]
+    theta = found.best.theta.copy()
+    for name in ('valve_characteristic_maximum_force', 'valve_characteristic_full_opening'):
+        theta[fields.index(name)] = 0.95
+    stuck = found.at(theta)
+    assert stuck.improbable
+    again = from_usual_parameters(stuck)
+    assert not again.improbable and again.best.cost < found.best.cost + 1.0
 
 
 def test_a_fit_is_not_given_up_for_a_jacobian_that_was_computed_elsewhere():

@@ -217,6 +217,19 @@ def with_usual_parameters(found: Found) -> Found:
     return found
 
 
+def from_usual_parameters(found: Found) -> Found:
+    """
+    Return a fit, repeated from usual nominal parameters if those found are improbable.
+
+    Where they act alike, a fit may stop in their valley, far from its lowest point.
+    """
+    usual = with_usual_parameters(found)
+    if usual is found:
+        return found
+    again = usual._replace(best=usual.best._replace(slopes=None)).refined()
+    return min(found, converged(again), key=cost_of)
+
+
 def null_fit(group: Group) -> Found:
     """Return the fit of the nominal model: of its uncertain parameters and initial states."""
     return with_start_of_fit(to_the_end(rough_null_fit(group)))
@@ -237,8 +250,7 @@ def to_the_end(null: Found) -> Found:
     """Return a rough fit of the nominal model, converged unless it explains nothing anyway."""
     if null.best.cost >= FAR * null.largest_cost:
         return null
-    return converged(null._replace(best=most_probable(
-        null.problem, null.best.theta, rounds=2 * ROUNDS, converged=0.0, near=null.best)))
+    return converged(null.refined(2 * ROUNDS, converged=0.0, beside=null.largest_cost))
 
 
 def with_start_of_fit(null: Found) -> Found:

@@ -22,7 +22,7 @@ from asi_analysis.gap.inference.posterior import (
     of_first_part,
 )
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.fits import converged
+from asi_analysis.gap.inference.simulated.fits import converged, from_usual_parameters
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
@@ -137,7 +137,7 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
     if not fits:
         return {}
     ranked = sorted(fits.values(), key=cost_of)[:1 + FULL_FITS + len(added)]
-    leader = converged(ranked[0].refined(2 * ROUNDS))
+    leader = from_usual_parameters(converged(ranked[0].refined(2 * ROUNDS)))
     if never_slides(leader):
         return around([form for form in rough if form is not ranked[0]], base, null, tick, goal,
                       at_base, added)
