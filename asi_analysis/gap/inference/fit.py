@@ -44,8 +44,7 @@ MASS_SHARES = (0.25, 0.5, 0.75)  # further starts of a share of the mass, relati
 LARGEST = 3.0        # upper bound of an effect in the linear screen, as a multiple of its start
 NOMINAL_FIELDS = frozenset(ACTUATOR_DTYPE.names or ())
 AT_LIMIT = 0.005     # of the range: distance within which a parameter is at a bound
-STARTS = 2           # so many of the best starts are fitted, but of few only one
-FEW_STARTS = 3
+STARTS, FEW_STARTS = 2, 3   # so many of the best starts are fitted, but of few only one
 LINE = ('offset', 'gain')   # of a static characteristic
 LOG_RANGE = 50.0     # ratio of bounds above which a parameter has a logarithmic scale
 
@@ -393,13 +392,13 @@ def fit_variants(group: Group, screen: 'LinearScreen', variants: Sequence[Varian
     Return an approximate fit of one variant each of one or more effects.
 
     The fit of `screen` is the start, extended by the parameters of the variants. The columns of
-    its Jacobian are used again, since they change little, but not if the fit also begins at
-    distant initial guesses. followed: so many of the best starts are fitted; all, if a mass is
-    within a backlash: each contact makes a local minimum.
+    its Jacobian are used again, but not if the fit also begins at distant initial guesses.
+    followed: so many of the best starts are fitted; all, if a mass is within a backlash: each
+    contact makes a local minimum.
     """
     problem, starts = _extended_problem(group, screen.base, variants)
-    followed = (len(starts) if FLOATING in problem.fixed else
-                followed if len(starts) > FEW_STARTS else 1)
+    most = followed if len(starts) > FEW_STARTS else 1
+    followed = len(starts) if FLOATING in problem.fixed else most
     places = max((len(free.starts) for free in problem.free if free.anew), default=0)
     # The parameters of the variants may have other bounds, so their columns differ.
     own = fields_of(variants)
