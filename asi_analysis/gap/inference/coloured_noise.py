@@ -79,7 +79,8 @@ def noise_of_residual(residuals: Sequence[Residual]) -> Noise | None:
     - white, by its cumulative periodogram (Box, Jenkins, Reinsel, Time Series Analysis, 4th ed.,
       8.2.5), each frequency by its own standard deviation (Anderson and Darling 1952), which has
       neither lines, as of a periodic signal, nor is smooth, as of a chirp;
-    - normal, by its fourth moment: a force that jumps now and then has the spectrum of noise;
+    - normal, by its fourth moment, as is the residual itself: a force that jumps now and then has
+      the spectrum of noise, and what follows each jump that of coloured noise;
     - independent of the commands before (Ljung, System Identification, 2nd ed., 16.6), and as
       strong whatever command and velocity do.
 
@@ -107,7 +108,8 @@ def _of_any_order(residuals: Sequence[Residual]) -> Noise | None:
                                        powers[0, 1:order + 1]).tolist())
         fresh = errors[:, 0] - errors[:, 1:order + 1] @ np.array(colour)
         lasting = np.abs(np.roots([1.0, *(-each for each in colour)])).max() > STRONGEST
-        if (not lasting and is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2) and _is_normal(fresh)
+        if (not lasting and is_white(np.abs(np.fft.rfft(fresh)[1:]) ** 2)
+                and _is_normal(fresh) and _is_normal(errors[:, 0], colour)
                 and not _follows(fresh, commands[:, 1:])
                 and not _varies(fresh, commands, velocities)
                 and not _resembles(errors[:, 0], _causes(commands, velocities),
@@ -191,10 +193,16 @@ def is_white(power: Array) -> bool:
                 and np.abs(uneven[EDGE:]).max() < HARDLY_EVER)
 
 
-def _is_normal(signal: Array) -> bool:
-    """Return whether a signal has the fourth moment of a normal distribution."""
+def _is_normal(signal: Array, colour: tuple[float, ...] = ()) -> bool:
+    """
+    Return whether noise of this colour has the fourth moment of a normal distribution.
+
+    By its variance for a linear process (Lomnicki, Metrika 4, 1961).
+    """
+    correlation = np.fft.ifft(noise_spectrum(np.fft.fftfreq(signal.size), colour)).real
+    spread = 24.0 / signal.size * float(np.sum((correlation / correlation[0]) ** 4))
     tails = float(np.mean(signal ** 4) / np.mean(signal ** 2) ** 2) - 3.0
-    return abs(tails) < HARDLY_EVER * math.sqrt(24.0 / signal.size)
+    return abs(tails) < HARDLY_EVER * math.sqrt(spread)
 
 
 def _follows(signal: Array, commands: Array, share: float = 1.0) -> bool:

@@ -70,6 +70,15 @@ def recorded(machine, colour, seed=0):
     return Run(**signals)
 
 
+def test_what_follows_two_jumps_of_a_force_is_no_noise():
+    """A velocity then: it is as smooth as noise of many orders, and its innovations are small."""
+    time, white = np.arange(6000), noise(0.0, 6000)
+    moved = (np.exp(-0.5 * ((time - 2200) / 20.0) ** 2)
+             - np.exp(-0.5 * ((time - 3300) / 20.0) ** 2))
+    for size in (5.0, 10.0, 40.0):
+        assert getattr(found_in(white + size * moved), 'unsure', 1.0) > 0.0
+
+
 @pytest.mark.parametrize('colour', [0.0, 0.5, 0.8, 0.95])
 def test_noise_is_recognised_whatever_its_colour(colour):
     found = found_in(noise(colour, 8000))
