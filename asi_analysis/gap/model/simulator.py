@@ -46,7 +46,7 @@ from asi_common.record import copy_of, with_fields
 # Sub-steps that are tried, the longest first: each has half of the integration error of the one
 # before. Their largest error (rms), as a share of the rms error floor; at the end of a fit.
 SUBSTEPS_S = tuple(1e-3 * 2.0 ** (-0.5 * number) for number in range(10))
-SUBSTEP_ERROR, FINAL_ERROR = 0.3, 0.02
+SUBSTEP_ERROR, FINAL_ERROR = 0.2, 0.02
 # Fields that the valve position depends on.
 VALVE_FIELDS = tuple(name for name in ACTUATOR_DTYPE.names or () if name.startswith((
     'command_', 'valve_hysteresis_', 'valve_flexure_'))) + (

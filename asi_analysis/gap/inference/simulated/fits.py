@@ -250,7 +250,8 @@ def to_the_end(null: Found) -> Found:
     """Return a rough fit of the nominal model, converged unless it explains nothing anyway."""
     if null.best.cost >= FAR * null.largest_cost:
         return null
-    return converged(null.refined(2 * ROUNDS, converged=0.0, beside=null.largest_cost))
+    return converged(null._replace(best=most_probable(
+        null.problem, null.best.theta, rounds=2 * ROUNDS, converged=0.0, near=null.best)))
 
 
 def with_start_of_fit(null: Found) -> Found:

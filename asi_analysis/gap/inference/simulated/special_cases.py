@@ -12,12 +12,7 @@ from dataclasses import replace
 from asi_actuator.model.friction import elements, held_friction, sliding
 from asi_analysis.gap.inference.posterior import most_probable
 from asi_analysis.gap.inference.simulated.fits import converged
-from asi_analysis.gap.inference.simulated.found import (
-    COST_RANGE,
-    Found,
-    freed_fields,
-    with_values_of,
-)
+from asi_analysis.gap.inference.simulated.found import Found, freed_fields, with_values_of
 from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.start import actuator_of
 
@@ -74,9 +69,8 @@ def from_values_of(found: Found, form: Found, goal: float) -> Found:
     """Return the fit of a form from the values of another fit, corrected as that is."""
     problem = replace(form.problem, group=found.problem.group)
     start = with_values_of(form, found, freed_fields(form)[0])
-    beside = found.best.cost + COST_RANGE
     return converged(form._replace(problem=problem, best=most_probable(
-        problem, start, goal=goal, beside=beside)), goal, beside)
+        problem, start, goal=goal)), goal)
 
 
 def never_slides(found: Found) -> bool:
