@@ -17,8 +17,8 @@ from asi_common.jit import FULL, inlined, jit
 LOCKED, SPRING, FREE, PRESCRIBED = 0, 1, 2, 3
 
 # A Newton step (m/s) over the square of the sub-step (s), so small that the damping is linear over
-# it: the error is below that of the sub-step. For the default one and the default damping it is
-# below 1e-4 N (test/actuator/test_model_convergence.py compares with full convergence).
+# it: the error is at most about that of the sub-step. For the default ones it is below 1e-5 of the
+# largest force (test/actuator/test_model_convergence.py compares with full convergence).
 LINEAR_STEP: Final = 8000.0
 # Least slope of the residual with the velocity, as a share of that of the mass alone.
 LEAST_STEEPNESS: Final = 0.25

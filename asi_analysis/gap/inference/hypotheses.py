@@ -213,10 +213,10 @@ def _fit_best_screened(group: Group, base: Fitted, choices: dict[Names, list[tup
     """
     Return the fits of the hypotheses with the lowest cost in the linear screen.
 
-    choices: alternative forms of each hypothesis; most: number of hypotheses that are fitted, in
-    the forms of at most `forms` sets of parameters each; reached: costs of hypotheses that were
-    fitted from another base; they are fitted again if the screen expects a lower cost from this
-    one.
+    choices: alternative forms of each hypothesis; most: number of hypotheses that are fitted, each
+    in all forms that have one of the best `forms` sets of free parameters; reached: costs of
+    hypotheses that were fitted from another base; they are fitted again if the screen expects a
+    lower cost from this one.
     """
     if not choices:
         return {}

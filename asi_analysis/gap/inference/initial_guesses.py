@@ -34,7 +34,7 @@ STEPS = np.concatenate([np.arange(2.0, 60.0, 0.02), np.arange(60.0, 400.0, 0.1)]
 BINS, PEAKS = 4000, 60
 FINE_STEPS, EQUIVALENT = np.linspace(-0.1, 0.1, 101), 0.99
 # Few steps change the fit without them, too: so many of the best of these are simulated as well,
-# and quanta near the best, if that explains twice as much as what the fine grid finds.
+# and quanta near the best, if that explains more than twice as much as the fine grid's best.
 FEW_STEPS, MORE, NEARBY = np.geomspace(2.0, 20.0, 200), 20, np.linspace(0.994, 1.006, 9)
 # Kinds of rounding: command_phase. Steps towards zero have the edges of `residual_step_edge`.
 QUANTISERS = {'residual_step': 0.0, 'residual_step_edge': 0.5}
@@ -293,7 +293,7 @@ def _steps(fitted: Fitted, channel: str) -> Values:
 
 
 def _quantisations(group: Group) -> Iterable[Variant]:
-    """Return the forms of a quantised command that begin with a guess of the quantum, by guess."""
+    """Return the first form of a quantised command that begins with each guess of the quantum."""
     forms = group.effects.get('command_quantisation', ())
     return {form.free[0].scale: form for form in reversed(forms)
             if form.free[0].scale in QUANTISERS}.values()
