@@ -50,7 +50,7 @@ from asi_analysis.gap.inference.simulated.fits import (
     with_noise_from_fit,
 )
 from asi_analysis.gap.inference.simulated.formulation import in_formulation, sufficient
-from asi_analysis.gap.inference.simulated.found import LITTLE, Found, nearest_to_nominal
+from asi_analysis.gap.inference.simulated.found import Found, nearest_to_nominal
 from asi_analysis.gap.inference.simulated.screen import screen
 from asi_analysis.gap.inference.simulated.search import explained_by_simulator
 from asi_analysis.gap.inference.uncertainty import interval, likelihood
@@ -719,7 +719,7 @@ def test_what_can_reach_a_goal_is_not_given_up_on_the_first_part(duration_s):
 
 @pytest.mark.parametrize('share', [1.2, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_parameters_are_as_near_to_nominal_as_the_residual_may_grow(share):
-    """But for what is LITTLE, no farther than those of fits with less weight of the data."""
+    """No farther than those of fits with less and less weight of the data."""
     nominal = {'load.type': 'spring'}
     run = recorded({**nominal, 'load.mass': 0.58, 'friction.stiction_push': 25.0}, duration_s=1.0)
     found = null_behind_valve(run, nominal)
@@ -734,7 +734,7 @@ def test_parameters_are_as_near_to_nominal_as_the_residual_may_grow(share):
         if (left(tried) > share * left(found)).any():
             break
         lighter = tried
-    assert near.prior_cost < lighter.prior_cost + LITTLE < found.prior_cost
+    assert near.prior_cost < lighter.prior_cost + 0.05 < found.prior_cost
     assert nearest_to_nominal(found, 0.9 * left(found)) is found
 
 

@@ -34,7 +34,7 @@ MARGIN, NOISE_ERROR = 1.1, 10.0
 COST_RANGE = 50.0
 # Nearest to nominal: so many Jacobians, unless one lowers the prior's cost by little; the least
 # weight of the data, bisections to find it; halvings of a step that goes too far.
-NEARER, LITTLE, LEAST_WEIGHT, BISECTIONS, HALVINGS = 4, 0.1, 0.5 ** 8, 6, 4
+NEARER, LITTLE, LEAST_WEIGHT, BISECTIONS, HALVINGS = 4, 0.05, 0.5 ** 8, 6, 4
 
 
 class Found(NamedTuple):
