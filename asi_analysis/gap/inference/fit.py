@@ -21,6 +21,7 @@ from asi_analysis.arrays import Array
 from asi_analysis.free_parameter import FreeParameter, Scale
 from asi_analysis.gap.inference.bounded_least_squares import least_step, minimise
 from asi_analysis.gap.model.effects import (
+    FLOATING,
     OF_A_RECORDING,
     OSCILLATION,
     Free,
@@ -29,7 +30,6 @@ from asi_analysis.gap.model.effects import (
 )
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import judged_error, measured, predict, unexplained
-from asi_analysis.gap.model.rattling import FLOATING
 from asi_analysis.gap.prepare import Recording
 from asi_analysis.gap.sampling import independent
 from asi_common.jit import FULL

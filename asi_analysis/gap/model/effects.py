@@ -162,6 +162,9 @@ _STICKING = _friction(Free('friction_breakaway', 0.25, 6.0, (1.0,)),
                       Free('friction_falling', 1.0, 2.0, (1.5,)))
 
 
+# The form of a backlash with two masses: one of them moves freely within it.
+FLOATING = ('backlash_floating', 1.0)
+
 EFFECTS: Effects = {
     'transport_delay': (
         Variant((Free('command_delay', 0.0, 0.1, (0.001, 0.003, 0.01, 0.03), '', 's'),),
@@ -258,7 +261,7 @@ EFFECTS: Effects = {
                  Free('compliance', 1e-4, 0.1, (0.02, 0.002), 'compliance', 'm/N'),
                  Free('compliance_damping', 0.0, 0.005, (0.0002,), '', 's'),
                  Free('piston_share', 0.01, 0.99, (0.4,))), LOAD_SIDE,
-                (('backlash_floating', 1.0),)),
+                (FLOATING,)),
     ),
     'load_compliance': (
         Variant((Free('compliance', 0.0, 6.0, (0.05, 0.2, 0.6, 1.5, 3.0), 'compliance', 'm/N'),

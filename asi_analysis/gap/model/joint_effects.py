@@ -7,6 +7,7 @@ from asi_analysis.gap.model.effects import (
     ASYMMETRIES,
     DRIVE_GAIN,
     EFFECTS,
+    FLOATING,
     POSITION_GAIN,
     Effects,
     Free,
@@ -71,7 +72,7 @@ def joint_effects(period: float, travel: float, mass_given: bool, force_measured
 
     effects = {name: forms for name, variants in EFFECTS.items()
                if (forms := tuple(form for each in variants if applies(each) for form in (
-                   rattling if ('backlash_floating', 1.0) in each.fixed else (scaled(each),))))}
+                   rattling if FLOATING in each.fixed else (scaled(each),))))}
     # An asymmetry of the sliding friction alone is a constant force; beside another one, that of
     # the viscous friction tells it.
     sliding = effects['coulomb_friction'][0]

@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 from asi_analysis.arrays import Array
 from asi_analysis.bags.run import Run
 from asi_analysis.gap.model import blocks
-from asi_analysis.gap.model.effects import Free, Variant
+from asi_analysis.gap.model.effects import FLOATING, Free, Variant
 from asi_analysis.gap.motion import Motion, judged
 from asi_analysis.gap.prepare import Recording
 
@@ -43,9 +43,8 @@ RIGID_RESIDUAL: Final = 4e-4
 MOST_RESIDUAL: Final = 0.7
 CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
 
-# The form of a backlash with two masses, and the share of its range below which a width is zero:
-# within 13 % of the smallest one where the range is logarithmic, 10 % where it is linear.
-FLOATING: Final = ('backlash_floating', 1.0)
+# The share of its range below which a width is zero: within 13 % of the smallest one where the range
+# is logarithmic, 10 % where it is linear.
 CLOSED: Final = 0.019
 
 
@@ -212,7 +211,7 @@ def rattling_in(rattling: Rattling | None) -> list[Variant]:
         weight = [Free('load_weight', -most, most, (rattling.weight,), '', 'N')]
     return [Variant((gap, Free('contact_time', 0.0005, 0.02, (CONTACT_S,), '', 's'),
                      Free('piston_share', 0.05, 0.9, (share,)), *damped, *weight), ('load',),
-                    (('backlash_floating', 1.0),))
+                    (FLOATING,))
             for damped in ((), (Free('viscous', 0.0, 1.0, (0.0,), 'damping', 'N s/m'),))]
 
 
