@@ -43,8 +43,8 @@ RIGID_RESIDUAL: Final = 4e-4
 MOST_RESIDUAL: Final = 0.7
 CREEP: Final = 0.05   # share of the rms speed at which Coulomb friction is fully developed
 
-# The share of its range below which a width is zero: within 13 % of the smallest one where the range
-# is logarithmic, 10 % where it is linear.
+# The share of its range below which a width is zero: within 13 % of the smallest one where the
+# range is logarithmic, 10 % where it is linear.
 CLOSED: Final = 0.019
 
 
