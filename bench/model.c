@@ -21,7 +21,7 @@ enum { MASS, SPRING_ALONE, SPRING_AND_DAMPER };
 #define LEAST_STEEPNESS 0.25
 #define NEAR 1e-6
 #define LEAST_LIMIT 1e-100
-#define LINEAR_STEP 8000.0
+#define LINEAR_STEP 5e-6
 #define MOST_ROUNDS 60
 
 struct second_order { double keep, pull, half_step; };
@@ -563,7 +563,7 @@ static inline void load(struct state *s, double static_before, double opening,
         double steepness = inertia + 0.25 * h * stiffness
             + 0.5 * (fluid.new * slope + rub.slope + damper);
         change = -residual / fmax(steepness, LEAST_STEEPNESS * inertia);
-        if (linear || fabs(change) <= LINEAR_STEP * h * h)
+        if (linear || fabs(change) <= LINEAR_STEP)
             break;
         if (residual > 0.0)
             high = velocity;

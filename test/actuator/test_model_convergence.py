@@ -34,7 +34,6 @@ SMOOTH: dict[str, Value] = {'valve_hysteresis.model': 'off', 'friction.model': '
 TIME = np.arange(600) * PERIOD
 STEP = np.where(TIME >= 0.01, 300.0, 0.0)
 SINE = 300.0 * np.sin(2 * np.pi * 20 * TIME)
-HARD = np.where(TIME % 0.02 < 0.01, 4000.0, -4000.0)
 
 
 def force(values: dict[str, Value], commands: npt.NDArray[np.float64], substep: float
@@ -79,11 +78,10 @@ def test_one_newton_step_suffices_where_all_forces_are_linear_in_the_velocity(
     forces = []
     for each in (True, False):
         state = rest()
-        for command in HARD:
+        for command in SINE:
             advance(state, command, p, steady._replace(linear=each))
-            forces.append(float(state['hydraulic_force']))
-    differences = np.subtract(*np.split(np.array(forces), 2))
-    assert (np.abs(differences).max() < 1e-9) == linear
+        forces.append(state['hydraulic_force'])
+    assert (abs(forces[0] - forces[1]) < 1e-9) == linear
 
 
 @pytest.mark.parametrize('commands', [STEP, SINE], ids=['step', 'sine'])
@@ -265,7 +263,7 @@ for values in (
         {}, {'load.type': 'free'}, {'load.type': 'spring', 'fluid_dynamics.model': 'off'},
         {'load.type': 'free', 'load.mass': 0.05, 'friction.stribeck_velocity': 1e-3},
         {'hydraulic_damping.velocity_width': 0.01, 'hydraulic_damping.centre_share': 1.0}):
-    exact = run(values, 1e-5)
+    exact = run(values, 1e-14)
     print(np.abs(run(values, default) - exact).max() / np.abs(exact).max())
 """
 
