@@ -24,7 +24,7 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
     """Draw a section of a recording and of models of it, and the differences."""
     with drawing(3.4) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        above.plot(time, real, color=GREY, linewidth=2.6, label='real')
+        above.plot(time, real, color=GREY, linewidth=2.6, label='machine')
         for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
             above.plot(time, model, color=colour, label=name)
             below.plot(time, real - model, color=colour)
@@ -34,7 +34,7 @@ def overlay(time: Array, real: Array, models: Mapping[str, Array], held_out: Mas
             axes.yaxis.set_major_formatter(UnitFormatter(unit))
             axes.fill_between(time, 0, 1, where=held_out, transform=axes.get_xaxis_transform(),
                               color='#f0f3f5', zorder=0, linewidth=0)
-        below.set_ylabel('real - model')
+        below.set_ylabel('difference')
         below.set_xlabel('time (s); shaded: validation samples')
     return figure
 
@@ -44,7 +44,7 @@ def characteristic(given: Array, got: Array, models: Mapping[str, Array], labels
     """Draw an output over its input, measured and by models; labels, units: of input, output."""
     with drawing(3.4) as figure:
         axes = figure.subplots()
-        axes.plot(given, got, color=GREY, linewidth=2.6, label='real')
+        axes.plot(given, got, color=GREY, linewidth=2.6, label='machine')
         for (name, model), colour in zip(models.items(), (ORANGE, BLUE), strict=False):
             axes.plot(given, model, color=colour, linewidth=1.0, label=name)
         axes.set_xlabel(labels[0])

@@ -58,7 +58,7 @@ def initial_guesses(fitted: Fitted) -> Values:
 
     Of each recording: residual_frequency (Hz) and residual_phase (turns, 1 to 2) of the strongest
     sine in the load's residual; residual_start and residual_end (s) of its strongest pulse. Of
-    the first: the quantum of the command (N) if it is rounded to the nearest step
+    the one with the largest command: its quantum (N) if it is rounded to the nearest step
     (residual_step), or to steps with an edge at zero (residual_step_edge).
     """
     group = fitted.problem.group
@@ -234,7 +234,8 @@ def _pulse(residual: Array, used: Array, known: Array, raw: Array, period: float
 
 def _steps(fitted: Fitted, channel: str) -> Values:
     """Return the command quantum (N) that explains most of a residual, by kind of rounding."""
-    recording = next(r for r in fitted.problem.group.recordings if r.fit.any())
+    recording = max((r for r in fitted.problem.group.recordings if r.fit.any()),
+                    key=lambda r: float(np.abs(r.input).max()))
     p = fitted.record
     command = recording.input
     own = simulator.of_simulator(p)

@@ -376,7 +376,8 @@ def test_pairs_are_sought_where_they_promise_to_explain_every_channel(
                             best=SimpleNamespace(cost=1e3))
     found, pairs = {(): first, ('sensor_lag',): first}, []
     monkeypatch.setattr(search, 'screen', lambda *_: SimpleNamespace(most=350.0))
-    monkeypatch.setattr(search, 'with_noise_left', lambda found: found)
+    for name in ('with_noise_left', '_with_own_guesses'):
+        monkeypatch.setattr(search, name, lambda found: found)
     monkeypatch.setattr(search, '_pairs', lambda *_: pairs.append(found) or {})
     search.with_pairs(found, lambda: None, alone)
     assert len(pairs) == sought
@@ -795,6 +796,20 @@ def test_large_steps_towards_zero_are_found_beside_other_nominal_parameters(quan
     answered, = explained_by_simulator([simulator_group(
         simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
     assert answered.probability[('command_quantisation',)] > 0.9
+
+
+@pytest.mark.parametrize(('quantum', 'rounding'), [
+    (60.0, 'edge'), *(pytest.param(*each, marks=pytest.mark.slow) for each in (
+        (60.0, 'zero'), (60.0, 'nearest'), (0.0, 'nearest')))])
+def test_steps_beside_a_second_effect_do_not_pass_as_noise(quantum, rounding):
+    """What the steps leave of a biased valve has the spectrum and the moments of noise."""
+    nominal = {'load.type': 'spring'}
+    run = recorded({**nominal, 'valve_flexure.bias': 40.0, 'command_path.quantum': quantum,
+                    'command_path.rounding': rounding}, duration_s=1.5)
+    answered, = explained_by_simulator([simulator_group(
+        simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
+    steps = ('command_quantisation',) if quantum else ()
+    assert answered.probability[(*steps, 'valve_bias')] > 0.9
 
 
 def test_a_fit_at_improbable_parameters_is_repeated_from_usual_ones():

@@ -15,7 +15,11 @@ from asi_analysis.gap.formulation import (
 )
 from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
 from asi_analysis.gap.inference.probability import Names
-from asi_analysis.gap.inference.simulated.evidence import equal_below, with_improbable_named
+from asi_analysis.gap.inference.simulated.evidence import (
+    STEPS,
+    equal_below,
+    with_improbable_named,
+)
 from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
@@ -57,9 +61,13 @@ def in_best_formulation(found: Mapping[Names, Found],
 
 
 def _explains_with_one(found: Found) -> bool:
-    """Return whether a hypothesis explains the recordings with one effect or parameter at most."""
+    """
+    Return whether a hypothesis explains the recordings with one effect or parameter at most.
+
+    And the steps of a converter, which no formulation of a law leaves.
+    """
     parameters = (each for each in with_improbable_named(found) if len(each.variants[-1].free) < 2)
-    return any(len(each.names) < 2 and not each.may_lack_an_effect
+    return any(len({*each.names} - {STEPS}) < 2 and not each.may_lack_an_effect
                for each in (found, *parameters))
 
 

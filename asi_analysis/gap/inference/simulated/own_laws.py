@@ -5,8 +5,7 @@ A linear law has one formulation, so the nominal part of such a machine is the s
 residual is an effect. Effects may be formulated in another way than the simulator's.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,9 +28,9 @@ from asi_analysis.gap.inference.simulated.fits import (
 )
 from asi_analysis.gap.inference.simulated.formulation import goal_beside, in_formulation
 from asi_analysis.gap.inference.simulated.found import Found, cost_of
-from asi_analysis.gap.inference.simulated.search import single_effects, with_pairs
+from asi_analysis.gap.inference.simulated.search import of_effects, single_effects, with_pairs
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
-from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, Effects, has_one_law
+from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, has_one_law
 from asi_analysis.gap.model.group import Group
 
 # The share of the nominal model's power beyond noise that the right effect may leave, if it is
@@ -124,15 +123,10 @@ def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Nam
         return found
     every = found[()].problem.group.effects
     effects = {name: forms for name, forms in every.items() if not name.startswith(PARAMETER)}
-    pairs = with_pairs(_of_effects(found, effects), tick, False)
-    return {names: each for names, each in _of_effects(pairs, every).items()
+    pairs = with_pairs({names: of_effects(each, effects) for names, each in found.items()},
+                       tick, False)
+    return {names: of_effects(each, every) for names, each in pairs.items()
             if len(names) < 2 or not each.unexplained}
-
-
-def _of_effects(found: Mapping[Names, Found], effects: Effects) -> dict[Names, Found]:
-    """Return hypotheses whose group has these effects."""
-    return {names: each._replace(problem=replace(each.problem, group=replace(
-        each.problem.group, effects=effects))) for names, each in found.items()}
 
 
 def _goal(leader: Found, null: Found) -> float:

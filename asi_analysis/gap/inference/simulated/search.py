@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from asi_analysis.gap.formulation import with_lower_floor
-from asi_analysis.gap.inference.coloured_noise import with_noise_of_valve
+from asi_analysis.gap.inference.coloured_noise import coloured, with_noise_of_valve
 from asi_analysis.gap.inference.hypotheses import Weighed
 from asi_analysis.gap.inference.initial_guesses import initial_guesses
 from asi_analysis.gap.inference.posterior import (
@@ -30,6 +30,7 @@ from asi_analysis.gap.inference.simulated.behind_valve import (
     gain_is_off,
     with_free_gain,
 )
+from asi_analysis.gap.inference.simulated.evidence import STEPS
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     converged,
@@ -63,6 +64,7 @@ from asi_analysis.gap.inference.simulated.one_more_effect import (
 from asi_analysis.gap.inference.simulated.screen import Screened, Start, screen
 from asi_analysis.gap.inference.simulated.special_cases import alone_of
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
+from asi_analysis.gap.model.effects import Effects
 from asi_analysis.gap.model.group import Group
 
 
@@ -174,9 +176,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
 
     Nothing can be much more probable: only noise is left, and no nominal parameter is off.
     """
-    # With guesses of their own: those of the fits that follow must not change what these mean.
-    null = null._replace(problem=replace(null.problem, group=replace(
-        null.problem.group, scale=null.problem.group.scale | initial_guesses(null.as_fitted))))
+    null = _with_own_guesses(null)
     problem, theta = null.problem, null.problem.nominal
     values, base = problem.record(theta), null.moved(problem, theta)
 
@@ -194,6 +194,19 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
 
     fits = problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
     return [each for each in fits if each.best.cost < math.inf and not each.unexplained]
+
+
+def _with_own_guesses(found: Found) -> Found:
+    """
+    Return a fit with the initial guesses of one more effect that its own residual gives.
+
+    Other fits keep theirs, as these are the units of what they have fitted.
+    """
+    problem, used = found.problem, {free.scale for free in found.problem.free}
+    guesses = {name: value for name, value in initial_guesses(found.as_fitted).items()
+               if name not in used}
+    return found._replace(problem=replace(problem, group=replace(
+        problem.group, scale=problem.group.scale | guesses)))
 
 
 def _beside(found: Found) -> Found:
@@ -244,16 +257,45 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
     alone: as in `explained_by_simulator`.
     """
     singles = [names for names in found if names]
-    if not singles or _one_is_enough(found):
+    if not singles:
         return found
+    enough = _one_is_enough(found)
     first = min((found[names] for names in singles), key=cost_of)
+    effects = first.problem.group.effects
+    if enough:
+        hidden = _hidden_effects(first)
+        if not hidden:
+            return found
+        first = of_effects(first, hidden)
+    first = _with_own_guesses(first)
     screened = screen(first, not first.unexplained, tick)
     promised = screened.most
     # Without another model, an effect may be named although a residual is left.
     if promised < ODDS_AGAINST or not (alone or first.cost_beyond < GAIN_MARGIN * promised):
         return found
-    return with_noise_left(best_of(found, _pairs(
-        found[()], first, screened, tick, goal_of(alone))))
+    pairs = _pairs(found[()], first, screened, tick, goal_of(alone))
+    if enough and min(map(cost_of, pairs.values())) > first.best.cost - ODDS_AGAINST:
+        return found
+    return with_noise_left(best_of(found, {
+        names: of_effects(each, effects) for names, each in pairs.items()} if enough else pairs))
+
+
+def _hidden_effects(found: Found) -> Effects:
+    """
+    Return those effects that may be hidden in what a fit leaves as noise.
+
+    If that noise was estimated from such a residual, any effect; else only the steps of a
+    converter, which resemble noise and which no formulation of a law leaves.
+    """
+    group = found.problem.group
+    return {name: forms for name, forms in group.effects.items()
+            if name not in found.names and (coloured(group) or name == STEPS)}
+
+
+def of_effects(found: Found, effects: Effects) -> Found:
+    """Return a fit to which only these effects can be added."""
+    return found._replace(problem=replace(found.problem, group=replace(
+        found.problem.group, effects=effects)))
 
 
 def _one_is_enough(found: Mapping[Names, Found]) -> bool:
