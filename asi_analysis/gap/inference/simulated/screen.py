@@ -89,7 +89,11 @@ def _starts(base: Found, small: bool) -> list[Start]:
 
 
 class Screened(NamedTuple):
-    """Result of a screen: starts, best first; their highest gain; Jacobian columns by field."""
+    """
+    Result of a screen: starts, best first; their highest gain; Jacobian columns by field.
+
+    most: minus infinity if no effect acts on the group's channels.
+    """
 
     ranked: list[Start]
     most: float
@@ -158,4 +162,5 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
     ranks = (sorted(range(len(starts)), key=lambda n: -gains[n][kind]) for kind in (0, 1))
     ranked = [starts[n]._replace(amount=gains[n][2])
               for both in zip(*ranks, strict=True) for n in both]
-    return Screened(ranked, max(free for free, *_ in gains), problem.columns(slopes))
+    most = max((free for free, *_ in gains), default=-math.inf)
+    return Screened(ranked, most, problem.columns(slopes))

@@ -65,7 +65,7 @@ from asi_analysis.gap.inference.simulated.screen import Screened, Start, screen
 from asi_analysis.gap.inference.simulated.special_cases import alone_of
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import Effects
-from asi_analysis.gap.model.group import Group
+from asi_analysis.gap.model.group import Group, channels_of
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -289,7 +289,8 @@ def _hidden_effects(found: Found) -> Effects:
     """
     group = found.problem.group
     return {name: forms for name, forms in group.effects.items()
-            if name not in found.names and (coloured(group) or name == STEPS)}
+            if name not in found.names and (coloured(group) or name == STEPS)
+            and any(channels_of(form, group) for form in forms)}
 
 
 def of_effects(found: Found, effects: Effects) -> Found:
