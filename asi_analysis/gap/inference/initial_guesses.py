@@ -21,9 +21,10 @@ from asi_analysis.gap.model import blocks, simulator
 from asi_analysis.gap.model.blocks import in_steps
 from asi_analysis.gap.model.effects import MOTIONS, Variant, of_recording
 from asi_analysis.gap.model.group import Group, Values, acts_on
-from asi_analysis.gap.model.predict import measured, predict
+from asi_analysis.gap.model.predict import in_recording, measured, predict
 from asi_analysis.gap.prepare import Recording
 from asi_common.jit import jit
+from asi_common.record import copy_of
 
 PULSE_GRID = 400      # start and end times in the coarse search for a pulse
 REFINEMENT = 50    # factor of each refinement of these times
@@ -72,6 +73,9 @@ def initial_guesses(fitted: Fitted) -> Values:
         raw = _target(recording, channel) - _predicted(recording, channel, fitted.record)
         own = _wave(residual, recording) | _pulse(residual, _used(recording), known, raw,
                                               recording.period_s)
+        if channel in MOTIONS:
+            own['residual_phase'] = _phase_of_push(fitted, recording, residual, known,
+                                                   own['residual_frequency'])
         found |= {of_recording(name, recording.number): value for name, value in own.items()}
     if 'static' in group.channels:
         found |= _static_steps(fitted)
@@ -120,7 +124,7 @@ def _predicted(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output; of a motion, its error as an equivalent force on the load."""
     if channel not in MOTIONS:
         return predict(recording, channel, p)
-    return simulator.missed_force(recording, p)
+    return simulator.missed_force(recording, in_recording(p, recording.number))
 
 
 def _used(recording: Recording) -> Array:
@@ -168,6 +172,29 @@ def _wave(residual: Array, recording: Recording) -> Values:
         phase += 0.5
     return {'residual_frequency': found / (count * recording.period_s),
             'residual_phase': 1.0 + phase % 1.0}
+
+
+def _phase_of_push(fitted: Fitted, recording: Recording, residual: Array, known: Array,
+                   frequency: float) -> float:
+    """
+    Return the phase (turns, 1 to 2) of the push of that frequency (Hz) that explains a residual.
+
+    By its simulated response: the phase that the residual itself has is that of a push on a
+    rigid load, and beside a compliance the sign may be the other one. residual, known: as
+    `_deflated_residual` returns them.
+    """
+    p = copy_of(in_recording(fitted.problem.record(fitted.theta), recording.number))
+    base, used = simulator.missed_force(recording, p), _used(recording)
+    p['load_external_force_frequency'] = frequency
+    p['load_external_force'] = 2.0 * np.abs(np.mean(residual * np.exp(
+        -2j * np.pi * frequency * recording.period_s * np.arange(residual.size))))
+    moved = np.empty((residual.size, 2))
+    for column, phase in enumerate((0.0, 0.25)):
+        p['load_external_force_phase'] = phase
+        change = (simulator.missed_force(recording, p) - base) * used
+        moved[:, column] = change - known @ (known.T @ change)
+    sine, cosine = np.linalg.lstsq(moved, residual, rcond=None)[0]
+    return 1.0 + float(np.arctan2(cosine, sine) / (2.0 * np.pi)) % 1.0
 
 
 def _excitation(recording: Recording) -> tuple[Array, ...]:

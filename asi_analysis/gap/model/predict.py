@@ -58,7 +58,7 @@ def predict(recording: Recording, channel: str, p: np.void) -> Array:
     """Return the predicted output of a channel: n samples, in the channel's unit."""
     if channel == 'static':
         return static_blocks.predict(recording, p)
-    p = _of_recording(p, recording.number)
+    p = in_recording(p, recording.number)
     if simulator.of_simulator(p):
         return simulator.predict(recording, channel, p)
     if channel == 'load':
@@ -101,7 +101,7 @@ def for_recordings(p: np.void, count: int) -> np.void:
     return wide
 
 
-def _of_recording(p: np.void, number: int) -> np.void:
+def in_recording(p: np.void, number: int) -> np.void:
     """Return a record with the fields of `OF_A_RECORDING` set to those of one recording."""
     if number == 0:
         return p

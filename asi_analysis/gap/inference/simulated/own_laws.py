@@ -102,11 +102,17 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
         return OwnLaws(None, gap), best.as_fitted, best
-    weighed = weighed_of(in_formulation(found, True), True)
+    weighed = weighed_of(in_formulation(found, not _has_own_formulation(best, null)), True)
     if weighed is None:
         return OwnLaws(None, gap), best.as_fitted, best
     chosen = most_probable_of(weighed)
     return OwnLaws(weighed, gap), chosen.fitted, found.get(chosen.names, best)
+
+
+def _has_own_formulation(best: Found, null: Found) -> bool:
+    """Return whether the best fit needs no model error: noise is left, by effects of one law."""
+    return (null.may_lack_an_effect and not best.may_lack_an_effect
+            and all(map(has_one_law, best.names)))
 
 
 def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:

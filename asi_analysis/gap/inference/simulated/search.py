@@ -261,35 +261,45 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
         return found
     enough = _one_is_enough(found)
     first = min((found[names] for names in singles), key=cost_of)
-    effects = first.problem.group.effects
     if enough:
-        hidden = _hidden_effects(first)
-        if not hidden:
-            return found
-        first = of_effects(first, hidden)
+        return _with_hidden(found, first, tick, goal_of(alone))
     first = _with_own_guesses(first)
     screened = screen(first, not first.unexplained, tick)
     promised = screened.most
     # Without another model, an effect may be named although a residual is left.
     if promised < ODDS_AGAINST or not (alone or first.cost_beyond < GAIN_MARGIN * promised):
         return found
-    pairs = _pairs(found[()], first, screened, tick, goal_of(alone))
-    if enough and min(map(cost_of, pairs.values())) > first.best.cost - ODDS_AGAINST:
+    return with_noise_left(best_of(found, _pairs(
+        found[()], first, screened, tick, goal_of(alone))))
+
+
+def _with_hidden(found: dict[Names, Found], first: Found, tick: Callable[[], None], goal: Goal
+                 ) -> dict[Names, Found]:
+    """Return hypotheses, with pairs of the best effect and one hidden in the noise it leaves."""
+    group = first.problem.group
+    hidden = _hidden_effects(first)
+    first = _with_own_guesses(of_effects(first, hidden)) if hidden else first
+    screened = screen(first, True, tick) if hidden else None
+    if screened is None or screened.most < ODDS_AGAINST:
         return found
-    return with_noise_left(best_of(found, {
-        names: of_effects(each, effects) for names, each in pairs.items()} if enough else pairs))
+    pairs = {names: of_effects(each, group.effects) for names, each in _with_second(
+        first, screened, tick, goal).items()}
+    if min(map(cost_of, pairs.values())) > first.best.cost - ODDS_AGAINST:
+        return found
+    return with_noise_left(best_of(found, pairs))
 
 
 def _hidden_effects(found: Found) -> Effects:
     """
     Return those effects that may be hidden in what a fit leaves as noise.
 
-    If that noise was estimated from such a residual, any effect; else only the steps of a
-    converter, which resemble noise and which no formulation of a law leaves.
+    Any effect, if that noise was estimated from such a residual, or if no other formulation of a
+    law would leave as much. Else only the steps of a converter, which no formulation leaves.
     """
     group = found.problem.group
+    any_may = coloured(group) or not group.may_differ
     return {name: forms for name, forms in group.effects.items()
-            if name not in found.names and (coloured(group) or name == STEPS)
+            if name not in found.names and (any_may or name == STEPS)
             and any(channels_of(form, group) for form in forms)}
 
 
@@ -322,8 +332,10 @@ def _pairs(null: Found, first: Found, screened: Screened, tick: Callable[[], Non
     if best.names == first.names or not pairs[first.names].may_lack_an_effect:
         return pairs
     second = alone_of(null, best, best.variants[-1])
+    beside = goal_beside(best)   # what cannot reach it does not count
     pairs = best_of(pairs, _with_second(
-        second, screen(second, not second.unexplained, tick), tick, goal))
+        second, screen(second, not second.unexplained, tick), tick,
+        lambda leader, base: min(goal(leader, base), beside)))
     third = min(pairs.values(), key=cost_of)
     if third is best or len(third.names) < 2:
         return pairs
