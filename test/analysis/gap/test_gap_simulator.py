@@ -774,6 +774,17 @@ def test_steps_of_the_command_are_guessed_from_coarse_to_fine(quantum):
     assert initial_guesses(fit.as_fitted)['residual_step'] == pytest.approx(quantum, rel=3e-3)
 
 
+def test_the_phase_of_a_push_is_guessed_beside_a_compliance_too():
+    """A push on a rigid load would have the opposite sign."""
+    nominal = {'load.type': 'spring', 'coupling.stiffness': 1.2e5, 'coupling.damping': 40.0,
+               'coupling.piston_share': 0.3}
+    run = recorded({**nominal, 'load.external_force': 8.0, 'load.external_force_frequency': 7.3,
+                    'load.external_force_phase': 0.2}, duration_s=2.0)
+    guesses = initial_guesses(null_behind_valve(run, nominal).as_fitted)
+    assert guesses['residual_frequency'] == pytest.approx(7.3, rel=0.01)
+    assert guesses['residual_phase'] == pytest.approx(1.2, abs=0.05)
+
+
 @pytest.mark.parametrize(('machine', 'steps'), [
     ({'command_path.quantum': 24.0}, True), *(
         pytest.param(each, False, marks=pytest.mark.slow) for each in (

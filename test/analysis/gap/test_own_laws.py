@@ -69,6 +69,22 @@ def test_lag_of_two_poles_and_a_bias_are_no_delay():
     assert poles == pytest.approx([0.003, 0.007], rel=0.15)
 
 
+def test_a_short_lag_beside_a_bias_is_not_a_parameter_of_the_valve():
+    """Both have one law, so no model error hides that another pair leaves a little more."""
+    diagnosis = diagnose([recorded(valve_flexure__lag_time=0.0004, valve_flexure__bias=33.0)],
+                         TEXTBOOK)
+    assert diagnosis.joined['valve_bias', 'valve_lag'] > 0.9
+
+
+@pytest.mark.slow
+def test_a_push_that_one_effect_leaves_as_noise_is_found():
+    """Without another formulation of the laws, a smaller residual is evidence."""
+    diagnosis = diagnose([recorded(
+        coupling__stiffness=1.5e5, coupling__damping=40.0, coupling__piston_share=0.3,
+        load__external_force=4.0, load__external_force_frequency=2.9)], TEXTBOOK)
+    assert diagnosis.joined['disturbance_force', 'load_compliance'] > 0.9
+
+
 @pytest.mark.slow   # test_a_constant_delay_is_not_called_uneven has one that does not differ
 @pytest.mark.parametrize('spread', [0.0004, 0.0012])
 def test_a_delay_that_differs_from_period_to_period_is_a_delay(spread):
