@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import chirp
+from scipy.signal import butter, chirp, lfilter
 from test_gap import REAL, TEXTBOOK, recorded
 
 from asi_actuator.model.actuator import simulate
@@ -74,6 +74,14 @@ def test_a_short_lag_beside_a_bias_is_not_a_parameter_of_the_valve():
     diagnosis = diagnose([recorded(valve_flexure__lag_time=0.0004, valve_flexure__bias=33.0)],
                          TEXTBOOK)
     assert diagnosis.joined['valve_bias', 'valve_lag'] > 0.9
+
+
+def test_steps_beside_a_lag_are_found_where_the_noise_of_the_valve_is_filtered():
+    """They resemble such noise, and alone they explain most beside improbable parameters."""
+    run = recorded(command_path__quantum=40.0, valve_flexure__lag_time=0.0025)
+    noise = lfilter(*butter(2, 0.3), np.random.default_rng(8).normal(0.0, 1e-7, 6000))
+    diagnosis = diagnose([replace(run, valve_position_m=run.valve_position_m + noise)], TEXTBOOK)
+    assert diagnosis.joined['command_quantisation', 'valve_lag'] > 0.9
 
 
 @pytest.mark.slow

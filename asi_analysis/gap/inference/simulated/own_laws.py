@@ -19,6 +19,7 @@ from asi_analysis.gap.inference.simulated.behind_valve import (
     gain_is_off,
     with_free_gain,
 )
+from asi_analysis.gap.inference.simulated.evidence import STEPS
 from asi_analysis.gap.inference.simulated.explained import most_probable_of, weighed_of
 from asi_analysis.gap.inference.simulated.fits import (
     null_fit,
@@ -112,7 +113,12 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
 def _has_own_formulation(best: Found, null: Found) -> bool:
     """Return whether the best fit needs no model error: noise is left, by effects of one law."""
     return (null.may_lack_an_effect and not best.may_lack_an_effect
-            and all(map(has_one_law, best.names)))
+            and all(map(_has_one_formulation, best.names)))
+
+
+def _has_one_formulation(effect: str) -> bool:
+    """Return whether an effect has one law, or is the steps of a converter."""
+    return effect == STEPS or has_one_law(effect)
 
 
 def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
@@ -125,7 +131,7 @@ def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Nam
     singles = [each for names, each in found.items() if names]
     first = min(singles, key=cost_of, default=found[()])
     if not first.names or first.names[0].startswith(PARAMETER) or (
-            not has_one_law(first.names[0])):
+            not _has_one_formulation(first.names[0])):
         return found
     every = found[()].problem.group.effects
     effects = {name: forms for name, forms in every.items() if not name.startswith(PARAMETER)}
