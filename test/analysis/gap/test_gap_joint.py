@@ -94,7 +94,7 @@ def test_friction_of_a_joint_that_turns(monkeypatch, tmp_path):
                         lambda out, template, pictures, **_: drawn.update(pictures))
     report.write_gap_report(diagnosis, answer, tmp_path)
     above, below = drawn['overlay'][0].axes
-    assert above.get_ylabel() == 'command' and below.get_ylabel() == 'real - model'
+    assert above.get_ylabel() == 'command' and below.get_ylabel() == 'difference'
     assert [each.yaxis.get_major_formatter().unit for each in (above, below)] == ['Nm', 'Nm']
     assert answer['which'][0]['units']['friction_level'] == 'Nm'
     assert answer['which'][0]['effect'] == 'coulomb_friction'
