@@ -59,8 +59,8 @@ def initial_guesses(fitted: Fitted) -> Values:
 
     Of each recording: residual_frequency (Hz) and residual_phase (turns, 1 to 2) of the strongest
     sine in the load's residual; residual_start and residual_end (s) of its strongest pulse. Of
-    the one with the largest command: its quantum (N) if it is rounded to the nearest step
-    (residual_step), or to steps with an edge at zero (residual_step_edge).
+    the recording with the largest command: the quantum (N) of the command if it is rounded to
+    the nearest step (residual_step), or to steps with an edge at zero (residual_step_edge).
     """
     group = fitted.problem.group
     found: Values = {}
@@ -74,8 +74,7 @@ def initial_guesses(fitted: Fitted) -> Values:
         own = _wave(residual, recording) | _pulse(residual, _used(recording), known, raw,
                                               recording.period_s)
         if channel in MOTIONS:
-            own['residual_phase'] = _phase_of_push(fitted, recording, residual, known,
-                                                   own['residual_frequency'])
+            own |= _phase_of_push(fitted, recording, residual, known, own['residual_frequency'])
         found |= {of_recording(name, recording.number): value for name, value in own.items()}
     if 'static' in group.channels:
         found |= _static_steps(fitted)
@@ -175,13 +174,13 @@ def _wave(residual: Array, recording: Recording) -> Values:
 
 
 def _phase_of_push(fitted: Fitted, recording: Recording, residual: Array, known: Array,
-                   frequency: float) -> float:
+                   frequency: float) -> Values:
     """
     Return the phase (turns, 1 to 2) of the push of that frequency (Hz) that explains a residual.
 
     By its simulated response: the phase that the residual itself has is that of a push on a
-    rigid load, and beside a compliance the sign may be the other one. residual, known: as
-    `_deflated_residual` returns them.
+    rigid load, and beside a compliance the sign may be the other one. Nothing if a push moves
+    nothing. residual, known: as `_deflated_residual` returns them.
     """
     p = copy_of(in_recording(fitted.problem.record(fitted.theta), recording.number))
     base, used = simulator.missed_force(recording, p), _used(recording)
@@ -193,8 +192,10 @@ def _phase_of_push(fitted: Fitted, recording: Recording, residual: Array, known:
         p['load_external_force_phase'] = phase
         change = (simulator.missed_force(recording, p) - base) * used
         moved[:, column] = change - known @ (known.T @ change)
+    if not (np.isfinite(moved).all() and moved.any()):
+        return {}
     sine, cosine = np.linalg.lstsq(moved, residual, rcond=None)[0]
-    return 1.0 + float(np.arctan2(cosine, sine) / (2.0 * np.pi)) % 1.0
+    return {'residual_phase': 1.0 + float(np.arctan2(cosine, sine) / (2.0 * np.pi)) % 1.0}
 
 
 def _excitation(recording: Recording) -> tuple[Array, ...]:

@@ -76,6 +76,17 @@ def test_a_short_lag_beside_a_bias_is_not_a_parameter_of_the_valve():
     assert diagnosis.joined['valve_bias', 'valve_lag'] > 0.9
 
 
+def test_a_curved_sensor_beside_a_lag_is_no_second_effect():
+    """A dead band explains a little more than the lag, which alone leaves only noise."""
+    run = recorded(valve_flexure__lag_time=0.004)
+    exact = simulate(as_record(REAL | {'valve_flexure.lag_time': 0.004}), run.command_n,
+                     run.period_s).valve_position_m
+    curved = exact + 5e-3 * exact ** 3 / np.abs(exact).max() ** 2
+    noise = np.random.default_rng(1).normal(0.0, 1e-8, exact.size)
+    diagnosis = diagnose([replace(run, valve_position_m=curved + noise)], TEXTBOOK)
+    assert diagnosis.joined['valve_lag',] > 0.9
+
+
 def test_steps_beside_a_lag_are_found_where_the_noise_of_the_valve_is_filtered():
     """They resemble such noise, and alone they explain most beside improbable parameters."""
     run = recorded(command_path__quantum=40.0, valve_flexure__lag_time=0.0025)

@@ -5,7 +5,7 @@ A linear law has one formulation, so the nominal part of such a machine is the s
 residual is an effect. Effects may be formulated in another way than the simulator's.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -103,17 +103,28 @@ def _own_laws(group: Group, tick: Callable[[], None], pairs: bool = True
     gap = bool((null.relative_residual > GAP).any())
     if not any(_mostly_explains(each, null) for each in found.values()):
         return OwnLaws(None, gap), best.as_fitted, best
-    weighed = weighed_of(in_formulation(found, not _has_own_formulation(best, null)), True)
+    weighed = weighed_of(in_formulation(found, not _has_own_formulation(best, found)), True)
     if weighed is None:
         return OwnLaws(None, gap), best.as_fitted, best
     chosen = most_probable_of(weighed)
     return OwnLaws(weighed, gap), chosen.fitted, found.get(chosen.names, best)
 
 
-def _has_own_formulation(best: Found, null: Found) -> bool:
-    """Return whether the best fit needs no model error: noise is left, by effects of one law."""
-    return (null.may_lack_an_effect and not best.may_lack_an_effect
-            and all(map(_has_one_formulation, best.names)))
+def _has_own_formulation(best: Found, found: Mapping[Names, Found]) -> bool:
+    """
+    Return whether the best fit needs no model error: only it leaves noise, by effects of one law.
+
+    Where fewer effects leave noise too, what another one adds may be the formulation of a law.
+    """
+    fewer = (each for each in found.values() if _laws(each) < _laws(best))
+    return (bool(best.names) and not best.may_lack_an_effect
+            and all(map(_has_one_formulation, best.names))
+            and all(each.may_lack_an_effect for each in fewer))
+
+
+def _laws(found: Found) -> int:
+    """Return the number of effects of a fit that have a law; steps of a converter have none."""
+    return len(set(found.names) - {STEPS})
 
 
 def _has_one_formulation(effect: str) -> bool:
@@ -123,7 +134,7 @@ def _has_one_formulation(effect: str) -> bool:
 
 def _with_pairs(found: dict[Names, Found], tick: Callable[[], None]) -> dict[Names, Found]:
     """
-    Return hypotheses, with pairs that leave no more than noise, if a single effect is not enough.
+    Return hypotheses, with pairs that leave no more than noise, as `with_pairs` does.
 
     Only if the law of the best single effect has one formulation: of another one, a second effect
     would be what the formulation leaves. So would be a parameter beyond its tolerance.

@@ -252,18 +252,19 @@ def _may_be_of_other_laws(found: Mapping[Names, Found]) -> bool:
 def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
                ) -> dict[Names, Found]:
     """
-    Return hypotheses of single effects, and pairs, if each of the single ones may lack an effect.
+    Return hypotheses of single effects, and pairs where a second effect may be needed.
 
-    alone: as in `explained_by_simulator`.
+    That is where each of the single ones leaves more than noise; or where the noise that the best
+    one leaves may hide another effect. alone: as in `explained_by_simulator`.
     """
-    singles = [names for names in found if names]
+    singles = [each for names, each in found.items() if names]
     if not singles:
         return found
-    enough = _one_is_enough(found)
-    first = min((found[names] for names in singles), key=cost_of)
-    if enough:
-        return _with_hidden(found, first, tick, goal_of(alone))
-    first = _with_own_guesses(first)
+    if _one_is_enough(found):
+        enough = [each for each in singles if not each.may_lack_an_effect]
+        return found if not found[()].may_lack_an_effect else _with_hidden(
+            found, min(enough, key=cost_of), tick, goal_of(alone))
+    first = _with_own_guesses(min(singles, key=cost_of))
     screened = screen(first, not first.unexplained, tick)
     promised = screened.most
     # Without another model, an effect may be named although a residual is left.
@@ -310,7 +311,7 @@ def of_effects(found: Found, effects: Effects) -> Found:
 
 
 def _one_is_enough(found: Mapping[Names, Found]) -> bool:
-    """Return whether a hypothesis lacks no effect, so that none with more can have evidence."""
+    """Return whether a hypothesis leaves only noise, with probable nominal parameters."""
     return not all(each.may_lack_an_effect for each in found.values())
 
 
@@ -331,7 +332,7 @@ def _pairs(null: Found, first: Found, screened: Screened, tick: Callable[[], Non
     best = min(pairs.values(), key=cost_of)
     if best.names == first.names or not pairs[first.names].may_lack_an_effect:
         return pairs
-    second = alone_of(null, best, best.variants[-1])
+    second = _with_own_guesses(alone_of(null, best, best.variants[-1]))
     beside = goal_beside(best)   # what cannot reach it does not count
     pairs = best_of(pairs, _with_second(
         second, screen(second, not second.unexplained, tick), tick,
