@@ -4,11 +4,13 @@ Independent tasks in sequence, in threads, in processes, or on a Dask cluster (b
 Results have the order of the tasks, whichever worker computed them.
 """
 
+import collections
+import functools
 import os
 import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, Final, TypeVar
@@ -29,13 +31,48 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+@functools.cache
+def _helpers() -> ThreadPoolExecutor:
+    """Return the threads that help those which call `in_threads`."""
+    return ThreadPoolExecutor(cores())
+
+
 def in_threads(function: Callable[[Item], Made], items: Iterable[Item]) -> Iterator[Made]:
-    """Yield function(item) for each item, in order; for functions that run compiled code."""
-    pool = ThreadPoolExecutor(cores())
+    """
+    Yield function(item) for each item, in order; for functions that run compiled code.
+
+    The caller computes too, and idle threads help it. So a function may call this itself: a
+    caller waits only for items that a thread is computing.
+    """
+    todo = collections.deque((item, Future[Made]()) for item in items)
+    futures = [future for _, future in todo]
+
+    def compute() -> bool:
+        """Compute an item, if one is left; return whether it was."""
+        try:
+            item, future = todo.popleft()
+        except IndexError:
+            return False
+        try:
+            future.set_result(function(item))
+        except Exception as error:   # raised where the result is asked for
+            future.set_exception(error)
+        return True
+
+    def help_on() -> None:
+        while compute():
+            pass
+
+    helping = [_helpers().submit(help_on) for _ in range(min(len(futures), cores()) - 1)]
     try:
-        yield from pool.map(function, items)
+        for future in futures:
+            while not future.done() and compute():
+                pass
+            yield future.result()
     finally:   # after Ctrl-C, what has not begun is not waited for
-        pool.shutdown(wait=False, cancel_futures=True)
+        todo.clear()
+        for each in helping:
+            each.cancel()
 
 
 @contextmanager

@@ -2,13 +2,14 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
 
 from asi_analysis.errors import InputError
 from asi_analysis.loop.closed_loop import simulate_loop
-from asi_analysis.parallel import each, workers
+from asi_analysis.parallel import each, in_threads, workers
 
 
 def peak(gain: float, folder: Path) -> tuple[float, int]:
@@ -25,6 +26,28 @@ def press_ctrl_c() -> int:
     """Interrupt this process; return who it is if it goes on."""
     os.kill(os.getpid(), signal.SIGINT)
     return os.getpid()
+
+
+def test_a_task_in_a_thread_may_be_shared_out_in_turn() -> None:
+    """No thread waits for one that waits: each computes itself what no other one has begun."""
+    def leaves(depth: int) -> int:
+        return sum(in_threads(leaves, [depth - 1] * 5)) if depth else 1
+
+    assert leaves(4) == 625
+    assert list(in_threads(str, range(50))) == [str(number) for number in range(50)]
+
+
+def test_after_an_error_in_a_thread_what_has_not_begun_is_left() -> None:
+    begun: list[int] = []
+
+    def inverse(number: int) -> float:
+        begun.append(number)
+        time.sleep(0.001)
+        return 1.0 / number
+
+    with pytest.raises(ZeroDivisionError):
+        list(in_threads(inverse, [2, 1, 0, *range(1, 1000)]))
+    assert len(begun) < 1000
 
 
 def test_ctrl_c_is_left_to_the_process_that_shares_out_the_work() -> None:

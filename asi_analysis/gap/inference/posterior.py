@@ -7,12 +7,11 @@ Information Theory, Inference and Learning Algorithms, 2003, ch. 27).
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +31,7 @@ from asi_analysis.gap.model.predict import judged_error
 from asi_analysis.gap.model.simulator import metres_per_newton, moves_nothing
 from asi_analysis.gap.model.start import MEMORIES
 from asi_analysis.gap.prepare import first_of_recording
-from asi_analysis.parallel import cores
+from asi_analysis.parallel import in_threads
 
 # Finite differences, as shares of a parameter's range: the usual ones; and, where the cost is
 # rough (stick and slip), WIDER times as wide, up to the widest. There the linearised problem
@@ -66,16 +65,11 @@ MOST_KEPT = 2 ** 25   # bytes of a Jacobian that is kept
 
 NONE: Mapping[str, Array] = MappingProxyType({})
 Slopes = npt.NDArray[np.float32]   # half of the memory; finite differences are less exact
-Item = TypeVar('Item')
-Made = TypeVar('Made')
 
 
 @dataclass
 class Posterior(Problem):
     """The negative log posterior of a group's free parameters, as a least-squares problem."""
-
-    # None: in a fit that itself runs in a thread of the pool
-    pool: ThreadPoolExecutor | None = field(default_factory=lambda: ThreadPoolExecutor(cores()))
 
     def residual(self, theta: Array) -> Array:
         """Return the residual divided by the rms error floor, channel after channel."""
@@ -183,18 +177,13 @@ class Posterior(Problem):
         order = sorted(range(theta.size), key=lambda number: not moves_nothing(
             self.free[number].field))
         columns = np.empty((theta.size, residual.size))
-        for number, values in zip(order, self.in_parallel(column, order), strict=True):
+        for number, values in zip(order, in_threads(column, order), strict=True):
             columns[number] = values
         return columns.T
 
-    def in_parallel(self, function: Callable[[Item], Made], items: Iterable[Item]
-                    ) -> Iterator[Made]:
-        """Yield the value of a function of each item, on all cores if there is a pool."""
-        return map(function, items) if self.pool is None else self.pool.map(function, items)
-
     def curvature(self, theta: Array, base: Array, step: Array) -> Array:
         """Return the second directional derivative of the residual along a step."""
-        ahead, back = self.in_parallel(
+        ahead, back = in_threads(
             lambda part: self.residual(np.clip(theta + part * step, 0.0, 1.0)),
             (CURVATURE_STEP, -CURVATURE_STEP))
         return (ahead - 2.0 * base + back) / CURVATURE_STEP ** 2

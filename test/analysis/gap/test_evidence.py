@@ -76,7 +76,6 @@ class _Rough(Posterior):
         self.bend = curved * axes[:, count + 1:]
         self.middle, self.slope, self.rough = np.full(count, 0.45), slope, rough
         self.free = tuple(SimpleNamespace(field=str(number)) for number in range(count))
-        self.pool = None
 
     @property
     def prior(self):

@@ -629,7 +629,7 @@ def test_a_fit_ends_where_derivatives_overflow():
 class Valley(Posterior):
     """A narrow, winding valley, lowest (0) where x is 0.9."""
 
-    prior, free, pool = (np.full(3, 0.5), np.zeros(3)), (), None
+    prior, free = (np.full(3, 0.5), np.zeros(3)), ()
 
     def __init__(self):
         pass
@@ -1081,9 +1081,6 @@ class _Landscape:
     cost: tuple[float, ...]
     free: tuple[()] = ()
     noise_cost: float = 0.0
-    pool: None = None
-
-    in_parallel = staticmethod(map)
 
 
 class _AtPlace(NamedTuple):

@@ -24,12 +24,14 @@ from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
+    changed,
     cost_of,
     nearest_to_nominal,
 )
 from asi_analysis.gap.inference.simulated.special_cases import simpler_forms
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
+from asi_analysis.parallel import in_threads
 from asi_common.record import field_name
 
 # Log odds below the best at which a hypothesis does not count; and the largest difference between
@@ -100,7 +102,8 @@ def weigh(group: Group, found: Mapping[Names, Found]
     if equal is not exact:   # then more parameters, which cost a form probability, may gain none
         near += [nearest_to_nominal(simpler, equal) if group.other_formulation else simpler
                  for each in near for simpler in simpler_forms(each, least.best.cost + COST_RANGE)]
-    near = [max(each, _with_model_error(each, noise), key=value) for each in near]
+    near = [max(both, key=value) for both in zip(near, in_threads(
+        lambda each: _with_model_error(each, noise), near), strict=True)]
     near += [more for each in near for more in with_improbable_named(each)]
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
     for each, weight in that_count(near, value, lambda each: _log_volume(each, noise, left(each))):
@@ -141,9 +144,8 @@ def _to_the_end(found: Mapping[Names, Found]) -> dict[Names, Found]:
     as the model error allows.
     """
     most = min(each.best.cost for each in found.values()) + NEGLIGIBLE + VOLUMES
-    return {names: each.refined(converged=0.0)
-            if each.best.cost < most and not each.problem.group.other_formulation
-            else each for names, each in found.items()}
+    return changed(found, lambda each: each.refined(converged=0.0)
+                   if each.best.cost < most and not each.problem.group.other_formulation else each)
 
 
 def _noise_level(group: Group, level: Array) -> Array:
@@ -339,7 +341,7 @@ def _along_axes(found: Found, slopes: Array, axes: _Axes, within: Mask) -> Array
         return (change if np.isfinite(change).all()
                 else slopes[:, within] @ axes.directions[:, number])
 
-    return np.array(list(problem.in_parallel(along, range(axes.reach.size)))).T @ axes.directions.T
+    return np.array(list(in_threads(along, range(axes.reach.size)))).T @ axes.directions.T
 
 
 def _square(problem: Posterior, jacobian: Array, weight: Array) -> Array:

@@ -27,6 +27,7 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     at_values_of,
+    changed,
     cost_of,
     freed_fields,
 )
@@ -119,8 +120,8 @@ def with_fine_substeps(found: Mapping[Names, Found]) -> dict[Names, Found]:
                           group=replace(group, recordings=recordings))
         return each._replace(problem=problem).at(each.best.theta).refined()
 
-    return {names: again(each) if each.best.cost < least + COST_RANGE else each
-            for names, each in found.items()}
+    return changed(found, lambda each: again(each)
+                   if each.best.cost < least + COST_RANGE else each)
 
 
 def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
@@ -141,8 +142,8 @@ def with_noise_left(found: Mapping[Names, Found]) -> dict[Names, Found]:
         return {names: each.weighed_as(problem_of(each)) for names, each in found.items()}
     leader = refitted_as(best, problem_of(best))
     goal = leader.best.cost + COST_RANGE
-    return {names: leader if each is best else refitted_as(each, problem_of(each), goal)
-            for names, each in found.items()}
+    return changed(found, lambda each: leader if each is best else refitted_as(
+        each, problem_of(each), goal))
 
 
 def refitted_as(found: Found, problem: Posterior, goal: float = math.inf) -> Found:
@@ -189,8 +190,8 @@ def with_noise_from_fit(found: Mapping[Names, Found],
             return start   # it does not even explain what is above the larger noise
         return converged(start.refined(goal=goal), goal)
 
-    return with_noise_from_fit({names: leader if each is best else quiet(each)
-                                for names, each in found.items()}, lowered)
+    return with_noise_from_fit(changed(
+        found, lambda each: leader if each is best else quiet(each)), lowered)
 
 
 def _with_nominal(found: Found) -> tuple[Found, Found]:

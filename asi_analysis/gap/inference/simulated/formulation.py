@@ -25,6 +25,7 @@ from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
     Found,
     at_values_of,
+    changed,
     cost_of,
     freed_fields,
     nearest_to_nominal,
@@ -119,10 +120,13 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
         return moved
     best = min(moved.values(), key=cost_of)
     equal = equal_below(best)
-    return {names: nearest_to_nominal(each, equal)
-            if found[names] is not known.get(names)
-            and (not names or each.best.cost < best.best.cost + COST_RANGE) else each
-            for names, each in moved.items()}
+
+    def nearest(each: Found) -> Found:
+        new = found[each.names] is not known.get(each.names)
+        near = not each.names or each.best.cost < best.best.cost + COST_RANGE
+        return nearest_to_nominal(each, equal) if new and near else each
+
+    return changed(moved, nearest)
 
 
 def sufficient(null: Found) -> Found | None:
@@ -154,18 +158,11 @@ def _refitted(found: Mapping[Names, Found]) -> dict[Names, Found]:
     The best one first. Last the nominal model, from the values of its rivals too: shapes of the
     laws that their fits have found may make the effects unnecessary.
     """
-    first = min(found, key=lambda names: found[names].best.cost)
-    leader = found[first].refined()
-    goal = goal_beside(leader)
-
-    def refit(each: Found) -> Found:
-        alone = each._replace(problem=replace(each.problem, pool=None)).refined(
-            goal=goal, beside=leader.best.cost + COST_RANGE)
-        return alone._replace(problem=each.problem)
-
-    others = {names: each for names, each in found.items() if names != first}
-    fits = leader.problem.in_parallel(refit, others.values())
-    refitted = {first: leader} | dict(zip(others, fits, strict=True))
+    best = min(found.values(), key=cost_of)
+    leader = best.refined()
+    goal, beside = goal_beside(leader), leader.best.cost + COST_RANGE
+    refitted = changed(found, lambda each: leader if each is best else each.refined(
+        goal=goal, beside=beside))
     return {**refitted, (): _least_from(refitted[()], sorted(
         (each for names, each in refitted.items() if names), key=cost_of)[:STARTING_RIVALS])}
 

@@ -1,6 +1,7 @@
 """A fitted hypothesis: what it leaves, and how probable its nominal parameters are."""
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from asi_analysis.gap.inference.posterior import (
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.simulator import VALVE_ERROR
+from asi_analysis.parallel import in_threads
 
 # A right hypothesis may leave a mean square of MARGIN error floors, and of the uncertainty of the
 # noise variance: it is estimated from fourth differences, and three standard errors of it are
@@ -187,6 +189,11 @@ class Found(NamedTuple):
         _, precision = self.problem.prior
         theta = np.where(precision > 0.0, self.problem.nominal, self.best.theta)
         return self._replace(best=Best(theta, math.inf, self.problem.residual(theta)))
+
+
+def changed(found: Mapping[Names, Found], change: Callable[[Found], Found]) -> dict[Names, Found]:
+    """Return hypotheses, each changed by a function that runs in several threads."""
+    return dict(zip(found, in_threads(change, found.values()), strict=True))
 
 
 def cost_of(found: Found) -> float:

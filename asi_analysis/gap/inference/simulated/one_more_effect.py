@@ -37,6 +37,7 @@ from asi_analysis.gap.inference.simulated.special_cases import (
     never_slides,
     special_cases,
 )
+from asi_analysis.parallel import in_threads
 
 # The cost that a fit must reach beside the best one, of the same base, and the nominal model.
 Goal = Callable[[Found, Found], float]
@@ -98,18 +99,18 @@ def extended(base: Found, null: Found, tick: Callable[[], None], goal: Goal,
     def rough(of: tuple[Start, Mapping[str, Array]]) -> Found:
         start, slopes = of
         own = start.variant.fields
-        single = replace(start.problem, pool=None)
         begun = Found(hypothesis(start), (*base.variants, start.variant), start.problem,
                       base.best._replace(slopes=None))
-        if far:   # the first part of the recordings shows well enough which effect it is
-            thetas = of_first_part(single, start.theta).theta, start.nearest   # or nothing of it
+        if far:
+            # The first part of the recordings shows well enough which effect it is, or nothing.
+            thetas = of_first_part(start.problem, start.theta).theta, start.nearest
             return min(map(begun.at, thetas), key=cost_of)
-        best = most_probable(single, start.nearest, ROUGH_ROUNDS, {
+        best = most_probable(start.problem, start.nearest, ROUGH_ROUNDS, {
             field: column for field, column in slopes.items() if field not in own})
         return begun._replace(best=best._replace(slopes=None))
 
     forms = []
-    for found in problem.in_parallel(rough, starts):
+    for found in in_threads(rough, starts):
         if found.best.cost < math.inf:
             forms.append(found)
         tick()
@@ -151,10 +152,8 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
     reached: dict[Names, float] = {}   # by a form of each effect
 
     def converged_fit(form: Found) -> Found:
-        # The integration error is corrected as for the leader. A thread of the pool must not
-        # wait for another one, since all of them could: hence no pool.
-        form = form._replace(problem=replace(
-            form.problem, group=leader.problem.group, pool=None))
+        # The integration error is corrected as for the leader.
+        form = form._replace(problem=replace(form.problem, group=leader.problem.group))
         shared = [with_values_of(form, leader, names) for names in (fields - own, fields)]
         of_effect = freed_fields(form)[1]
         if of_effect & own:   # of the same law, of which the leader may have a special case
@@ -199,14 +198,14 @@ def around(rough: Sequence[Found], base: Found, null: Found, tick: Callable[[], 
             return
         if (earlier is None or earlier.best is best_forms.get(found.names)
                 or found.criterion < earlier.criterion):
-            fits[found.names] = found._replace(problem=replace(found.problem, pool=problem.pool))
+            fits[found.names] = found
 
     # One form of each effect first, the best if they were fitted roughly: the least cost that
     # these reach is the goal of further forms.
     first = {form.names: form for form in (*reversed(remaining), *ranked)}
     for further in (False, True):
         done = [leader]
-        for found in problem.in_parallel(converged_fit, [
+        for found in in_threads(converged_fit, [
                 form for form in remaining if (form is not first[form.names]) == further]):
             keep(found)
             if not never_slides(found):
@@ -247,7 +246,7 @@ def _rivals(base: Found, leader: Found, tick: Callable[[], None]) -> list[Found]
     without = base._replace(problem=problem, best=Best(
         theta, problem.cost(theta, residual), residual))
     starts = screen(without, False, tick).best(RIVALS)
-    thetas = problem.in_parallel(lambda start: start.nearest, starts)
+    thetas = in_threads(lambda start: start.nearest, starts)
     return [Found(tuple(sorted((*base.names, start.name))), (*base.variants, start.variant),
                   start.problem, Best(theta, math.inf, residual))
             for start, theta in zip(starts, thetas, strict=True)]

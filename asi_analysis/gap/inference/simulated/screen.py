@@ -18,6 +18,7 @@ from asi_analysis.gap.inference.posterior import Posterior
 from asi_analysis.gap.inference.simulated.found import Found
 from asi_analysis.gap.model.effects import Variant, fields_of
 from asi_analysis.gap.model.group import channels_of
+from asi_analysis.parallel import in_threads
 
 # Largest multiple of an effect's initial guess; the least one that a fit can begin with.
 LARGEST_AMOUNT, LEAST_AMOUNT = 3.0, 0.01
@@ -68,7 +69,7 @@ def _starts(base: Found, small: bool) -> list[Start]:
             fixed = (*problem.fixed, *variant.fixed, *(
                 (('maximum_substep', shorter),) if own & STIFF else ()))
             extended = Posterior(group, (*(f for f in problem.free if f.field not in own),
-                                         *variant.free), fixed, pool=problem.pool)
+                                         *variant.free), fixed)
             null = np.array([
                 shares[f.field] if f.field not in own else
                 float(np.clip(extended.parameter(f).share(float(values[f.field])), 0.0, 1.0))
@@ -155,7 +156,7 @@ def screen(base: Found, small: bool, tick: Callable[[], None]) -> Screened:
         return free, -amount * along - 0.5 * amount ** 2 * size, multiple
 
     starts, gains = _starts(base, small), []
-    for n, value in enumerate(problem.in_parallel(gain, starts)):
+    for n, value in enumerate(in_threads(gain, starts)):
         gains.append(value)
         if n % 10 == 0:
             tick()

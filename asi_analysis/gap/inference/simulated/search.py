@@ -66,6 +66,7 @@ from asi_analysis.gap.inference.simulated.special_cases import alone_of
 from asi_analysis.gap.inference.simulated.uneven_delay import with_uneven_delay
 from asi_analysis.gap.model.effects import Effects
 from asi_analysis.gap.model.group import Group, channels_of
+from asi_analysis.parallel import in_threads
 
 
 def explained_by_simulator(groups: Sequence[Group], tick: Callable[[], None],
@@ -182,7 +183,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
 
     def fitted_alone(start: Start) -> Found:
         count = len(start.variant.free)
-        own = replace(start.problem, free=start.variant.free, pool=None, fixed=(
+        own = replace(start.problem, free=start.variant.free, fixed=(
             *start.problem.fixed, *((free.field, float(values[free.field]))
                                     for free in start.problem.free[:-count])))
         best = most_probable(own, start.theta[-count:], goal=null.largest_cost)
@@ -192,7 +193,7 @@ def changed_alone(null: Found, tick: Callable[[], None]) -> list[Found]:
             *start.problem.fixed, ('maximum_substep', substep)))
         return found.moved(whole, np.append(start.theta[:-count], found.best.theta))
 
-    fits = problem.in_parallel(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
+    fits = in_threads(fitted_alone, screen(base, False, tick).best(ROUGH_FITS))
     return [each for each in fits if each.best.cost < math.inf and not each.unexplained]
 
 
