@@ -300,11 +300,15 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
         least = at.cost - GAIN_MARGIN * linear.most
         if since == at.cost and (fresh or known) and least > goal:   # a Jacobian just computed
             return at.best(slopes, computed)
-        before, (there, damping, tried) = at.cost, linear.step(damping, TRIES if fresh else 1)
+        before = at.cost
+        enough = GAIN + converged * before + ROUGHLY * max(before - beside, 0.0)
+        tries = TRIES if fresh else 1
+        if fresh and GAIN_MARGIN * linear.most <= enough:   # no step is worth its price
+            tries = 0
+        there, damping, tried = linear.step(damping, tries)
         if there is not None:
             slopes, at = linear.updated(there), there
         steps += tried
-        enough = GAIN + converged * before + ROUGHLY * max(before - beside, 0.0)
         ends = fresh and before - at.cost <= enough
         if not ends and before - at.cost > GAIN and steps < MOST_STEPS * at.theta.size and (
                 steps * _log_ratio(before, at.cost) > tried * _log_ratio(since, at.cost)):
