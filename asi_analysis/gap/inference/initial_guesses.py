@@ -7,7 +7,7 @@ residual that the fitted parameters could explain is removed first.
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +23,7 @@ from asi_analysis.gap.model.effects import MOTIONS, Variant, of_recording
 from asi_analysis.gap.model.group import Group, Values, acts_on
 from asi_analysis.gap.model.predict import in_recording, measured, predict
 from asi_analysis.gap.prepare import Recording
+from asi_analysis.parallel import in_threads
 from asi_common.jit import jit
 from asi_common.record import copy_of
 
@@ -237,9 +238,10 @@ def _pulse(residual: Array, used: Array, known: Array, raw: Array, period: float
     parts = np.concatenate([np.zeros((1, known.shape[1])), np.cumsum(known, axis=0)])
 
     def strongest(corners: npt.NDArray[np.int_]) -> tuple[int, int]:
-        between = parts[corners][:, None] - parts[corners][None]
-        size = np.abs(np.subtract.outer(length[corners], length[corners])) - np.sum(
-            between ** 2, axis=2)
+        product = parts[corners] @ parts[corners].T
+        square = np.diag(product)   # |a - b|^2 = |a|^2 + |b|^2 - 2 a b
+        size = np.abs(np.subtract.outer(length[corners], length[corners])) - (
+            np.add.outer(square, square) - 2.0 * product)
         explained = np.triu(np.subtract.outer(sums[corners], sums[corners]) ** 2
                             / np.maximum(size, 1.0), 1)
         first, last = divmod(int(np.argmax(explained)), corners.size)
@@ -307,16 +309,20 @@ def _steps(fitted: Fitted, channel: str) -> Values:
         few = np.array([exact_gain(each, QUANTISERS[name]) for each in FEW_STEPS])
         steps = np.concatenate([STEPS[peaks[np.argsort(-coarse[peaks])[:PEAKS]]],
                                 FEW_STEPS[np.argsort(-few)[:MORE]]])
+
         def gained(each: float, form: Variant = form) -> float:
             return -_left_with(fitted, channel, recording, form, largest / each)
 
-        alone, best = gained(math.inf), float(max(steps, key=gained))
+        def best_of(several: Array, gained: Callable[[float], float] = gained) -> float:
+            return float(several[np.argmax(list(in_threads(gained, several)))])
+
+        alone, best = gained(math.inf), best_of(steps)
         nearby = best + FINE_STEPS
         gains = gain(nearby, command, QUANTISERS[name])
         # With few levels neighbouring quanta are equivalent until one level changes.
         finer = float(nearby[gains >= EQUIVALENT * gains.max()].mean())
         if gained(finer) - alone < 0.5 * (gained(best) - alone):
-            finer = float(max(best * NEARBY, key=gained))
+            finer = best_of(best * NEARBY)
         found[name] = largest / finer
     return found
 
