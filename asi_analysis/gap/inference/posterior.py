@@ -281,10 +281,11 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
     end, initial states with memory (flux, seals) are scanned over their whole range: their
     influence ends at a reversal of the motion, so that gradients mislead.
     goal: a cost; a fit that will not reach it, by its rate or its Jacobian, is given up.
-    converged: the last round gains less than GAIN and this share of the cost; near: a fit of the
-    same problem whose Jacobian is used at first; without: the cost of the fit without the last
-    effect. A fit that ends within SLIGHT of it with the `known` Jacobian, which promises no more,
-    is given up. beside: a cost with which it hardly counts; above that it is found roughly.
+    converged: the last round gains less than GAIN and this share of the cost; no step is tried
+    where a fresh Jacobian promises no more; near: a fit of the same problem whose Jacobian is
+    used at first; without: the cost of the fit without the last effect. A fit that ends within
+    SLIGHT of it with the `known` Jacobian, which promises no more, is given up. beside: a cost
+    with which it hardly counts; above that it is found roughly.
     """
     at, damping = _Point.of(problem, start), DAMPING
     if near is None or near.slopes is None:
@@ -302,10 +303,8 @@ def _maximised(problem: Posterior, start: Array, rounds: int = ROUNDS,
             return at.best(slopes, computed)
         before = at.cost
         enough = GAIN + converged * before + ROUGHLY * max(before - beside, 0.0)
-        tries = TRIES if fresh else 1
-        if fresh and GAIN_MARGIN * linear.most <= enough:   # no step is worth its price
-            tries = 0
-        there, damping, tried = linear.step(damping, tries)
+        settled = fresh and GAIN_MARGIN * linear.most <= enough
+        there, damping, tried = linear.step(damping, 0 if settled else TRIES if fresh else 1)
         if there is not None:
             slopes, at = linear.updated(there), there
         steps += tried
