@@ -259,12 +259,11 @@ def with_pairs(found: dict[Names, Found], tick: Callable[[], None], alone: bool
     one leaves may hide another effect. alone: as in `explained_by_simulator`.
     """
     singles = [each for names, each in found.items() if names]
-    if not singles:
+    if not singles or not found[()].may_lack_an_effect:
         return found
-    if _one_is_enough(found):
-        enough = [each for each in singles if not each.may_lack_an_effect]
-        return found if not found[()].may_lack_an_effect else _with_hidden(
-            found, min(enough, key=cost_of), tick, goal_of(alone))
+    enough = [each for each in singles if not each.may_lack_an_effect]
+    if enough:
+        return _with_hidden(found, min(enough, key=cost_of), tick, goal_of(alone))
     first = _with_own_guesses(min(singles, key=cost_of))
     screened = screen(first, not first.unexplained, tick)
     promised = screened.most
