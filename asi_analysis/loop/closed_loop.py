@@ -3,7 +3,6 @@
 import math
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy.typing as npt
 from asi_actuator.model.actuator import STATE_DTYPE, advance, check_period, measure, prepare, rest
 from asi_actuator.parameters import as_record
 from asi_analysis.arrays import Array
-from asi_analysis.parallel import cores
+from asi_analysis.parallel import cores, in_threads
 from asi_common.jit import jit
 from asi_common.parameter import Value
 from asi_common.record import record_of
@@ -123,15 +122,11 @@ def close_many(loops: Loops, duration_s: float, last_s: float | None = None
                          loops.references[part], loops.period_s, begin,
                          min(begin + PIECE, ticks), ticks - last, out[part])
 
-    if loops.states.size == 1:
-        block(0)    # a pool takes some milliseconds
-        return out
-    with ThreadPoolExecutor(cores()) as threads:
-        try:
-            list(threads.map(block, range(0, loops.states.size, size)))
-        except KeyboardInterrupt:
-            stopped.set()
-            raise
+    try:
+        list(in_threads(block, range(0, loops.states.size, size)))
+    except KeyboardInterrupt:
+        stopped.set()
+        raise
     return out
 
 
