@@ -180,8 +180,8 @@ def _phase_of_push(fitted: Fitted, recording: Recording, residual: Array, known:
     Return the phase (turns, 1 to 2) of the push of that frequency (Hz) that explains a residual.
 
     By its simulated response: the phase that the residual itself has is that of a push on a
-    rigid load, and beside a compliance the sign may be the other one. Nothing if a push moves
-    nothing. residual, known: as `_deflated_residual` returns them.
+    rigid load, and beside a compliance the sign may be the other one. Nothing if the
+    simulation overflows. residual, known: as `_deflated_residual` returns them.
     """
     p = copy_of(in_recording(fitted.problem.record(fitted.theta), recording.number))
     base, used = simulator.missed_force(recording, p), _used(recording)
@@ -193,7 +193,7 @@ def _phase_of_push(fitted: Fitted, recording: Recording, residual: Array, known:
         p['load_external_force_phase'] = phase
         change = (simulator.missed_force(recording, p) - base) * used
         moved[:, column] = change - known @ (known.T @ change)
-    if not (np.isfinite(moved).all() and moved.any()):
+    if not np.isfinite(moved).all():
         return {}
     sine, cosine = np.linalg.lstsq(moved, residual, rcond=None)[0]
     return {'residual_phase': 1.0 + float(np.arctan2(cosine, sine) / (2.0 * np.pi)) % 1.0}

@@ -780,9 +780,16 @@ def test_the_phase_of_a_push_is_guessed_beside_a_compliance_too():
                'coupling.piston_share': 0.3}
     run = recorded({**nominal, 'load.external_force': 8.0, 'load.external_force_frequency': 7.3,
                     'load.external_force_phase': 0.2}, duration_s=2.0)
-    guesses = initial_guesses(null_behind_valve(run, nominal).as_fitted)
+    fitted = null_behind_valve(run, nominal).as_fitted
+    guesses = initial_guesses(fitted)
     assert guesses['residual_frequency'] == pytest.approx(7.3, rel=0.01)
     assert guesses['residual_phase'] == pytest.approx(1.2, abs=0.05)
+    # A simulation that overflows beside the push gives no better phase, and no error.
+    missed = simulator.missed_force
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(simulator, 'missed_force', lambda recording, p: missed(recording, p) + (
+            0.0 if p['load_external_force'] == 0.0 else math.nan))
+        assert 1.0 <= initial_guesses(fitted)['residual_phase'] < 2.0
 
 
 @pytest.mark.parametrize(('machine', 'steps'), [
