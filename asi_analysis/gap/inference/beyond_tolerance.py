@@ -39,9 +39,10 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
     Return a group whose hypotheses keep all other parameters within their tolerances.
 
     Normal priors let a fit leave them. If the 95 % interval of a nominal parameter lies beyond its
-    tolerance, that fit and its probability belong to the hypothesis with this parameter, as far as
-    the laws are the simulator's own; how far it is off says the fit without its prior. If the
-    nominal model takes more than MOST_PARAMETERS of them, the cause is `unknown`.
+    tolerance, that fit is one with this parameter, as far as the laws are the simulator's own; how
+    far it is off says the fit without its prior. Its probability is divided among the hypotheses
+    with that effect more, or another one, as their evidence is. If the nominal model takes more
+    than MOST_PARAMETERS of them, the cause is `unknown`.
     """
     group = weighed.group
     shown = any(group.other_error[channel] > group.error_floor[channel]
@@ -57,17 +58,31 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
             continue
         richer: Names = tuple(sorted({*names, *more}))
         freed = _freed(weighed, candidate, richer, more)
+        known = candidates.get(richer)
         if len(more) > MOST_PARAMETERS:
             richer = (UNKNOWN,)
-        else:
-            candidates.setdefault(richer, freed)
+        elif known is None or known.fitted.free == freed.fitted.free:
+            candidates[richer] = freed
         share = OWN_LAWS if group.may_differ and not shown else 1.0
         if not own_laws and not _are_beyond(freed, more.values()):
             share = AT_EDGE
         moved = share * weighed.probability[names]
-        chance[richer] = chance.get(richer, 0.0) + moved
         chance[names] -= moved
+        for each, part in _shares(weighed.probability, names, richer).items():
+            chance[each] = chance.get(each, 0.0) + part * moved
     return weighed._replace(candidates=candidates, probability=chance)
+
+
+def _shares(chance: Mapping[Names, float], names: Names, richer: Names) -> dict[Names, float]:
+    """Return how the evidence divides hypotheses like `richer`: with as many effects beside names.
+
+    All belongs to `richer` if its evidence is not known.
+    """
+    if chance.get(richer, 0.0) == 0.0:
+        return {richer: 1.0}
+    alike = {each: value for each, value in chance.items()
+             if len(each) == len(richer) and set(names) < set(each)}
+    return {each: value / sum(alike.values()) for each, value in alike.items()}
 
 
 def _freed(weighed: Weighed, candidate: Candidate, names: Names, more: Mapping[str, _Beyond]
@@ -75,21 +90,23 @@ def _freed(weighed: Weighed, candidate: Candidate, names: Names, more: Mapping[s
     """
     Return a hypothesis with further effects: their parameters have no prior now.
 
-    That of the group, if these are free in it. Else it is fitted again, from nominal values of the
-    others, too, which took up what the prior kept from the parameter.
+    That of the group, refitted, if these are free in it. Else it is fitted from nominal values of
+    the others, too, which took up what the prior kept from the parameter.
     """
     known = weighed.candidates.get(names)
     if known and {each.field for each in more.values()} <= {
             free.field for free in known.fitted.free if free.prior == math.inf}:
-        return known
-    before, variants = candidate.fitted.problem, tuple(each.variant for each in more.values())
-    assert isinstance(before, Posterior)
-    problem = replace(before, free=without_prior(before.free, variants))
-    theta, (_, precision) = candidate.fitted.theta, problem.prior
-    usual = np.where(precision > 0.0, problem.nominal, theta)
-    best = min((most_probable(problem, start) for start in (theta, usual)),
-               key=lambda each: each.cost)
-    return Candidate(names, (*candidate.variants, *variants), fitted(problem, best))
+        variants, problem, starts = known.variants, known.fitted.problem, [known.fitted.theta]
+        assert isinstance(problem, Posterior)
+    else:
+        before, added = candidate.fitted.problem, tuple(each.variant for each in more.values())
+        assert isinstance(before, Posterior)
+        variants = (*candidate.variants, *added)
+        problem = replace(before, free=without_prior(before.free, added))
+        theta, (_, precision) = candidate.fitted.theta, problem.prior
+        starts = [theta, np.where(precision > 0.0, problem.nominal, theta)]
+    best = min((most_probable(problem, start) for start in starts), key=lambda each: each.cost)
+    return Candidate(names, variants, fitted(problem, best))
 
 
 def _beyond(weighed: Weighed, names: Names) -> dict[str, _Beyond]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, cont2discrete, lfilter
 
 from asi_actuator.model.actuator import (
     advance,
@@ -803,6 +803,41 @@ def test_steps_smaller_than_the_noise_are_evidence_beside_laws_of_another_form(m
     answered, = explained_by_simulator([simulator_group(
         simulator.simulator_record(nominal), prepared([run]), ('valve',))], lambda: None)
     assert (answered.probability.get(('command_quantisation',), 0.0) > 0.9) == steps
+
+
+def valve_of_other_laws(command, period_s):
+    """Return the position (m) of a valve with a Prandtl-Ishlinskii hysteresis: four plays."""
+    p, finer = simulator.simulator_record({}), 5
+    plays, driven = np.zeros(4), np.empty(command.size)
+    width = p['valve_hysteresis_radius'] * np.array([0.2, 0.7, 1.3, 2.2])
+    for k, value in enumerate(command):
+        plays = np.clip(plays, value - width, value + width)
+        driven[k] = plays @ [0.35, 0.3, 0.2, 0.15]
+    coil = 2.0 * np.pi * 1.08 * p['valve_flexure_coil_frequency']
+    pipe = 2.0 * np.pi * p['valve_flexure_natural_frequency']
+    poles = np.polymul([1.0 / coil, 1.0],
+                       [pipe ** -2.0, 2.0 * p['valve_flexure_damping_ratio'] / pipe, 1.0])
+    (above,), below, _ = cont2discrete(([1.0], poles), period_s / finer)
+    late = lfilter(above, below, np.append(0.0, np.repeat(driven, finer)))   # by the delay
+    return 0.97 * simulator.metres_per_newton(p) * late[:-1:finer]
+
+
+@pytest.mark.parametrize('quantum', [40.0, pytest.param(0.0, marks=pytest.mark.slow)])
+def test_steps_show_beside_laws_that_the_simulator_does_not_have(quantum):
+    """What they change has far more independent samples than the errors of a formulation."""
+    rng = np.random.default_rng(4)
+    time_s = np.arange(4000) * 1e-3
+    command = 300.0 * np.interp(time_s, np.arange(40) * 0.12, rng.uniform(-1.0, 1.0, 40)) + (
+        80.0 * np.sin(2.0 * np.pi * 11.3 * time_s))
+    sent = quantum * np.round(command / quantum) if quantum else command
+    none = np.zeros(time_s.size)
+    run = Run(time_s, command_n=command, force_n=none, position_m=none, velocity_m_s=none,
+              valve_position_m=valve_of_other_laws(sent, 1e-3) + rng.normal(0.0, 2e-8, none.size))
+    answered, = explained_by_simulator([simulator_group(simulator.simulator_record(
+        {'load.type': 'spring'}), prepared([run]), ('valve',))], lambda: None)
+    steps = sum(value for names, value in answered.probability.items()
+                if 'command_quantisation' in names)
+    assert steps > 0.9 if quantum else steps < 0.05
 
 
 @pytest.mark.parametrize('quantum', [60.0, pytest.param(120.0, marks=pytest.mark.slow)])

@@ -16,6 +16,7 @@ from asi_analysis.errors import InputWarning
 from asi_analysis.gap.diagnose import diagnose
 from asi_analysis.gap.diagnosis import improved_of
 from asi_analysis.gap.document import document
+from asi_analysis.gap.inference.beyond_tolerance import _shares
 from asi_analysis.gap.inference.bounded_least_squares import least_step
 from asi_analysis.gap.inference.posterior import Best, Posterior, most_probable
 from asi_analysis.gap.inference.simulated import uneven_delay
@@ -74,6 +75,16 @@ def test_a_short_lag_beside_a_bias_is_not_a_parameter_of_the_valve():
     diagnosis = diagnose([recorded(valve_flexure__lag_time=0.0004, valve_flexure__bias=33.0)],
                          TEXTBOOK)
     assert diagnosis.joined['valve_bias', 'valve_lag'] > 0.9
+
+
+def test_a_delay_beyond_its_tolerance_leaves_room_for_another_second_effect():
+    """Its probability is divided as the evidence is: a lag explains as much as that delay."""
+    chance = {(): 0.0, ('valve_bias',): 0.9, ('valve_bias', 'valve_lag'): 0.06,
+              ('transport_delay', 'valve_bias'): 0.02, ('transport_delay', 'valve_lag'): 0.02}
+    delay, lag = ('transport_delay', 'valve_bias'), ('valve_bias', 'valve_lag')
+    assert _shares(chance, ('valve_bias',), delay) == pytest.approx({delay: 0.25, lag: 0.75})
+    bias_gain = ('valve_bias', 'valve_gain')   # whose evidence is not known
+    assert _shares(chance, ('valve_bias',), bias_gain) == {bias_gain: 1.0}
 
 
 def test_a_curved_sensor_beside_a_lag_is_no_second_effect():

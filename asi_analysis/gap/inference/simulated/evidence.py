@@ -19,7 +19,13 @@ from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
-from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
+from asi_analysis.gap.inference.posterior import (
+    LEAST_COST,
+    ODDS_AGAINST,
+    Posterior,
+    mean_squares,
+    power,
+)
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
@@ -31,12 +37,15 @@ from asi_analysis.gap.inference.simulated.found import (
 from asi_analysis.gap.inference.simulated.special_cases import simpler_forms
 from asi_analysis.gap.model.effects import PARAMETER, UNKNOWN, without_prior
 from asi_analysis.gap.model.group import Group, least_error
+from asi_analysis.gap.sampling import independent
 from asi_analysis.parallel import in_threads
 from asi_common.record import field_name
 
 # Log odds below the best at which a hypothesis does not count; and the largest difference between
 # the logs of posterior volumes, as long as none of them is known.
 NEGLIGIBLE, VOLUMES = 12.0, 28.0
+# Negative log prior at the tolerance of a nominal parameter: two standard deviations.
+AT_TOLERANCE = 0.5 * 2.0 ** 2
 # Log odds against a quantum of the command: the best of all down to 1/400 of the command, in three
 # kinds of rounding, is a guess, and the bounds of the fit are 0.6 % apart.
 STEPS, OF_ALL_QUANTA = 'command_quantisation', math.log(3.0 * math.log(200.0) / 0.006)
@@ -63,6 +72,10 @@ class _Noise(NamedTuple):
     def weight(self, excess: Array) -> Array:
         """Return the weight of the data beside such a model error; 1: there is none."""
         return 1.0 / (1.0 + self.samples / MODEL_SAMPLES * excess)
+
+    def log_likelihood(self, left: Array) -> float:
+        """Return the log likelihood of a mean square residual, up to a constant."""
+        return 0.5 * MODEL_SAMPLES * float(np.log(self.weight(self.excess(left))).sum())
 
 
 def weigh(group: Group, found: Mapping[Names, Found]
@@ -93,9 +106,15 @@ def weigh(group: Group, found: Mapping[Names, Found]
             np.maximum(equal, mean_squares(enough.problem, enough.best.residual)))
         return np.maximum(mean_squares(each.problem, each.best.residual), low)
 
+    smooth = without_evident_steps(found)
+
     def value(each: Found) -> float:
         """Return the log posterior."""
-        return _log_posterior(each, noise, left(each))
+        log_posterior = _log_posterior(each, noise, left(each))
+        if smooth is None or STEPS not in each.names:
+            return log_posterior
+        counted = noise.log_likelihood(left(each)) - noise.log_likelihood(left(smooth))
+        return log_posterior + max(_gain_of_steps(each, smooth) - counted, 0.0)
 
     highest = max(map(value, found.values()))
     near = [each for each in found.values() if value(each) > highest - NEGLIGIBLE - VOLUMES]
@@ -104,7 +123,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
                  for each in near for simpler in simpler_forms(each, least.best.cost + COST_RANGE)]
     near = [max(both, key=value) for both in zip(near, in_threads(
         lambda each: _with_model_error(each, noise), near), strict=True)]
-    near += [more for each in near for more in with_improbable_named(each)]
+    near += [more for each in near for more in with_improbable_named(each, AT_TOLERANCE)]
     evidence, fits = dict.fromkeys(found, -math.inf), dict(found)
     for each, weight in that_count(near, value, lambda each: _log_volume(each, noise, left(each))):
         if weight > evidence.get(each.names, -math.inf):
@@ -160,11 +179,11 @@ def _noise_level(group: Group, level: Array) -> Array:
     return np.maximum(level * (1.0 - others), model_error(group) - others)
 
 
-def with_improbable_named(found: Found) -> Iterator[Found]:
+def with_improbable_named(found: Found, least: float) -> Iterator[Found]:
     """
     Yield a fit as that of one more effect, whose parameters are nominal ones of improbable values.
 
-    The values are the same, but the effect's prior is uniform.
+    The values are the same, but the effect's prior is uniform. least: their negative log prior.
     """
     problem = found.problem
     mean, precision = problem.prior
@@ -175,7 +194,7 @@ def with_improbable_named(found: Found) -> Iterator[Found]:
             fields = {free.field for free in variant.free if free.scale == 'nominal'}
             if (name not in found.names and len(fields) == len(variant.free)
                     and fields <= cost.keys()
-                    and sum(cost[field] for field in fields) > ODDS_AGAINST):
+                    and sum(cost[field] for field in fields) > least):
                 yield found._replace(
                     names=tuple(sorted((*found.names, name))),
                     variants=(*found.variants, variant),
@@ -201,6 +220,33 @@ def _with_steps_of(found: Found, simplest: Found) -> Names:
     No formulation of another law leaves the steps of a converter.
     """
     return tuple(sorted({*simplest.names, *({STEPS} & {*found.names})}))
+
+
+def without_evident_steps(found: Mapping[Names, Found]) -> Found | None:
+    """
+    Return the best hypothesis without the steps of a converter, if these show beside it.
+
+    No formulation of a law leaves such steps: they show if what they gain outweighs their price.
+    """
+    smooth, stepped = (min((each for names, each in found.items() if (STEPS in names) == steps),
+                           key=cost_of, default=None) for steps in (False, True))
+    if smooth is None or stepped is None:
+        return None
+    price = OF_ALL_QUANTA + ODDS_AGAINST * (len(stepped.names) - len(smooth.names))
+    return smooth if _gain_of_steps(stepped, smooth) > price else None
+
+
+def _gain_of_steps(stepped: Found, smooth: Found) -> float:
+    """
+    Return the log likelihood ratio of hypotheses with the steps of a converter, and without.
+
+    Errors of a formulation agree with the steps by chance only, as if both had so many independent
+    samples as the change that the steps make.
+    """
+    (left, _), (before, _) = (each.problem.split(each.best.residual) for each in (stepped, smooth))
+    samples = np.array([independent(change, np.ones(change.size)) for change in before - left])
+    ratio = np.mean(before ** 2, axis=1) / np.maximum(np.mean(left ** 2, axis=1), LEAST_COST)
+    return 0.5 * float(samples @ np.log(np.maximum(ratio, 1.0)))
 
 
 def equal_below(best: Found) -> Array:
@@ -240,7 +286,7 @@ def _log_posterior(found: Found, noise: _Noise, left: Array) -> float:
     """
     precision = found.problem.prior[1]
     normal, (_, others) = precision > 0.0, found.problem.split(found.best.residual)
-    return (0.5 * MODEL_SAMPLES * float(np.log(noise.weight(noise.excess(left))).sum())
+    return (noise.log_likelihood(left)
             - 0.5 * float(others @ others)
             - found.prior_cost
             + 0.5 * float(np.log(precision[normal] / (2.0 * math.pi)).sum())

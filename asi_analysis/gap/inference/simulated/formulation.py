@@ -13,12 +13,19 @@ from asi_analysis.gap.formulation import (
     with_tolerance_of_formulation,
     with_usual_shapes,
 )
-from asi_analysis.gap.inference.posterior import FAR, GAIN, mean_squares, most_probable
+from asi_analysis.gap.inference.posterior import (
+    FAR,
+    GAIN,
+    ODDS_AGAINST,
+    mean_squares,
+    most_probable,
+)
 from asi_analysis.gap.inference.probability import Names
 from asi_analysis.gap.inference.simulated.evidence import (
     STEPS,
     equal_below,
     with_improbable_named,
+    without_evident_steps,
 )
 from asi_analysis.gap.inference.simulated.fits import converged
 from asi_analysis.gap.inference.simulated.found import (
@@ -48,16 +55,18 @@ def in_best_formulation(found: Mapping[Names, Found],
 
     The laws are the simulator's own if a hypothesis with at most one effect, or one improbable
     nominal parameter, leaves only noise, and the best one needs no other shape parameters of the
-    laws; or the nominal model is far from explaining the recordings, whatever the shapes: that is
-    not their fault. With a baseline, the error floor is measured and kept.
+    laws; or the nominal model is far from explaining the recordings, whatever the shapes, or only
+    the steps of a converter explain them: that is not their fault. With a baseline, the error
+    floor is measured and kept.
     """
     if next(iter(found.values())).problem.group.floor_measured:
         return dict(found)
     own = {names: _with_formulation(each, False) for names, each in found.items()}
-    null = own[()]
-    other = not any(map(_explains_with_one, own.values())) or (
-        not null.problem.is_far(null.best.cost)
-        and _needs_other_shapes(min(own.values(), key=cost_of)))
+    null, best = own[()], min(own.values(), key=cost_of)
+    steps_explain = not best.may_lack_an_effect and without_evident_steps(own) is not None
+    other = not any(map(_explains_with_one, own.values())) or not (
+        null.problem.is_far(null.best.cost) or STEPS in best.names and steps_explain
+        or not _needs_other_shapes(best))
     return in_formulation(found, other, known)
 
 
@@ -67,7 +76,8 @@ def _explains_with_one(found: Found) -> bool:
 
     And the steps of a converter, which no formulation of a law leaves.
     """
-    parameters = (each for each in with_improbable_named(found) if len(each.variants[-1].free) < 2)
+    parameters = (each for each in with_improbable_named(found, ODDS_AGAINST)
+                  if len(each.variants[-1].free) < 2)
     return any(len({*each.names} - {STEPS}) < 2 and not each.may_lack_an_effect
                for each in (found, *parameters))
 
@@ -104,7 +114,8 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
     """
     Return hypotheses with the error floor of that formulation; refitted if it changed.
 
-    If the nominal model suffices in another formulation, it alone is returned.
+    If the nominal model suffices in another formulation, and no steps of a converter show, which
+    no formulation leaves, it alone is returned.
     """
     moved = {names: _with_formulation(each, other) for names, each in found.items()}
     if next(iter(found.values())).problem.group.other_formulation != other:
@@ -113,7 +124,7 @@ def in_formulation(found: Mapping[Names, Found], other: bool,
             enough = np.ones(len(group.channels)) if group.may_differ else equal_below(
                 min(moved.values(), key=cost_of))
             moved[()], plain = _sufficient(moved[()], enough)
-            if plain is not None:
+            if plain is not None and without_evident_steps(found) is None:
                 return {(): plain}
         moved = _refitted(moved)
     if not other:
