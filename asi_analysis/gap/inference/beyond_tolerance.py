@@ -74,7 +74,8 @@ def with_parameters_named(weighed: Weighed) -> Weighed:
 
 
 def _shares(chance: Mapping[Names, float], names: Names, richer: Names) -> dict[Names, float]:
-    """Return how the evidence divides hypotheses like `richer`: with as many effects beside names.
+    """
+    Return the shares of hypotheses with `names` and as many effects as `richer`, by evidence.
 
     All belongs to `richer` if its evidence is not known.
     """

@@ -19,13 +19,7 @@ from asi_analysis.arrays import Array, Mask
 from asi_analysis.gap.formulation import MODEL_SAMPLES, model_error
 from asi_analysis.gap.inference.coloured_noise import coloured
 from asi_analysis.gap.inference.fit import independent_samples
-from asi_analysis.gap.inference.posterior import (
-    LEAST_COST,
-    ODDS_AGAINST,
-    Posterior,
-    mean_squares,
-    power,
-)
+from asi_analysis.gap.inference.posterior import ODDS_AGAINST, Posterior, mean_squares, power
 from asi_analysis.gap.inference.probability import Names, log_odds_against
 from asi_analysis.gap.inference.simulated.found import (
     COST_RANGE,
@@ -90,9 +84,7 @@ def weigh(group: Group, found: Mapping[Names, Found]
     least = min(found.values(), key=cost_of)
     samples = independent_samples(least.problem.group, least.problem.record(least.best.theta),
                                   'known')
-    # A smaller error than the simulation's own is no evidence.
-    exact = np.array([least_error(group, channel) / group.error_floor[channel]
-                      for channel in group.channels])
+    exact = _simulation_error(group)   # a smaller error is no evidence
     level = np.maximum(mean_squares(least.problem, least.best.residual), exact)
     noise = _Noise(np.array([samples[channel] for channel in group.channels]),
                    _noise_level(group, np.minimum(level, least.explained)))
@@ -245,8 +237,15 @@ def _gain_of_steps(stepped: Found, smooth: Found) -> float:
     """
     (left, _), (before, _) = (each.problem.split(each.best.residual) for each in (stepped, smooth))
     samples = np.array([independent(change, np.ones(change.size)) for change in before - left])
-    ratio = np.mean(before ** 2, axis=1) / np.maximum(np.mean(left ** 2, axis=1), LEAST_COST)
-    return 0.5 * float(samples @ np.log(np.maximum(ratio, 1.0)))
+    own, others = (np.maximum(mean_squares(each.problem, each.best.residual),
+                              _simulation_error(each.problem.group)) for each in (stepped, smooth))
+    return 0.5 * float(samples @ np.log(np.maximum(others / own, 1.0)))
+
+
+def _simulation_error(group: Group) -> Array:
+    """Return the mean square error of the simulation itself by channel, in error floors."""
+    return np.array([least_error(group, channel) / group.error_floor[channel]
+                     for channel in group.channels])
 
 
 def equal_below(best: Found) -> Array:
